@@ -236,7 +236,8 @@ def main(arguments: list[str] | None = None) -> int:
         together = [name for name in ready if not pages[name].alone] or ready[:1]
         with ThreadPoolExecutor(options.jobs) as pool:
             try:
-                for _ in as_completed([pool.submit(make, name, pages[name]) for name in together]):
+                for one in as_completed([pool.submit(make, name, pages[name]) for name in together]):
+                    one.result()
                     write()
             finally:  # after an interruption, which the commands that run have got, too
                 pool.shutdown(cancel_futures=True)

@@ -108,3 +108,11 @@ def disk(tmp_path):
 
     yield mounted
     subprocess.run(["umount", folder], capture_output=True)
+
+
+@pytest.fixture
+def plain_maps(monkeypatch):
+    """Maps are put together and not rendered, which takes longer than a small run."""
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda figure, place, **how: Path(place).write_bytes(b"map")
+    )

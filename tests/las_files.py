@@ -11,6 +11,7 @@ from pathlib import Path
 import laspy
 import lazrs
 import numpy as np
+import pyproj
 
 OFFSETS = np.array([440000.0, 4750000.0, 100.0])
 SCALES = np.array([0.01, 0.01, 0.001])
@@ -39,8 +40,6 @@ class Effort:
 def make_las(path: Path, point_format: int = 6, version: str | None = None, n: int = 200, *, crs: object = 32632,
              extra: bool = False, seed: int = 0, **fields: np.ndarray) -> laspy.LasData:  # fmt: skip
     """A file in which every dimension of every point has a value of its own; ``fields`` replace some."""
-    import pyproj
-
     rng = np.random.default_rng(seed)
     minor = 2 if point_format < 4 else 3 if point_format < 6 else 4
     header = laspy.LasHeader(version=version or f"1.{minor}", point_format=point_format)
@@ -75,11 +74,39 @@ def make_las(path: Path, point_format: int = 6, version: str | None = None, n: i
     return las
 
 
+def las_of(path: Path | None, xyz: np.ndarray, point_format: int = 6, *, scales: object = 0.01, offsets: object = None,
+           crs: object = None, **fields: object) -> laspy.LasData:  # fmt: skip
+    """A file of these points, single echoes if ``fields`` do not say otherwise; its offsets are whole numbers."""
+    xyz = np.asarray(xyz, float)
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
+    header.scales = np.full(3, scales) if np.ndim(scales) == 0 else np.asarray(scales)
+    header.offsets = np.floor(xyz.min(axis=0)) if offsets is None else np.asarray(offsets, float)
+    if crs is not None:
+        header.add_crs(pyproj.CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.xyz = xyz
+    for name, value in ({"return_number": 1, "number_of_returns": 1} | fields).items():
+        las[name] = np.broadcast_to(value, len(xyz))
+    if path is not None:
+        las.write(path)
+    return las
+
+
 def patch(path: Path, layout: str, at: int, *values: object) -> None:
     """Overwrite bytes of a file."""
     with open(path, "r+b") as file:
         file.seek(at)
         file.write(struct.pack("<" + layout, *values))
+
+
+def replace_crs(path: Path, record: bytes) -> None:
+    """Write another WKT or other GeoTIFF keys, which are not longer, in place of those of a file."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"LASF_Projection")
+    length = struct.unpack_from("<H", content, at + 18)[0]
+    assert len(record) <= length
+    content[at + 52 : at + 52 + length] = record.ljust(length, b"\0")
+    path.write_bytes(content)
 
 
 def make_copc(path: Path, n: int = 400, seed: int = 0) -> np.ndarray:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.engines.grid.cells import padded_length
 from jaxfilter.steps import batch as module
 
 SMRF, MSF = jf.SMRF(window=6.0), jf.MSF(window=4.0)
@@ -28,10 +27,6 @@ def smrf(scenes):
 
 def each(filter_, sets):
     return [filter_.replace(**dict(zip(sets, values, strict=True))) for values in zip(*sets.values(), strict=True)]
-
-
-def test_clouds_of_another_membrane_stay_apart(smrf):
-    assert len(smrf.blocks) == 2
 
 
 @pytest.mark.parametrize("filter_, sets", [
@@ -94,19 +89,6 @@ def test_soft_labels_and_their_gradients_are_those_of_single_clouds(scenes):
 
     got, expected = (jax.value_and_grad(function)(jnp.float32(0.3)) for function in (batched, alone))
     np.testing.assert_allclose(got, expected, rtol=1e-3)
-
-
-def test_blocks_join_what_costs_least_and_keep_membranes_apart():
-    sizes = [(100, 90, 5000), (300, 200, 9000), (96, 96, 5000), (310, 210, 9000), (200, 40, 3000)]
-    groups = module._grouped(sizes, 3)
-    assert groups == [[0, 2], [1, 3], [4]]
-    assert all(len({padded_length(max(sizes[c][:2])) for c in group}) == 1 for group in module._grouped(sizes, 1))
-
-
-def test_more_sets_are_held_where_memory_is(smrf, monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert module._at_once(smrf.blocks[0], 100, 1e9) > module._at_once(smrf.blocks[0], 100, 1e7) > 1
-    assert module._at_once(smrf.blocks[0], 100, 1.0) == 1 and module._at_once(smrf.blocks[0], 101, 1e7) == 1
 
 
 @pytest.mark.parametrize("sets, message", [

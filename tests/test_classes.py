@@ -1,15 +1,13 @@
 """Classes around ground: what is found of points, which class that gives them, and how it gets into files."""
 
 import dataclasses
-import json
 
 import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import done, facts
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.core.filter import Filter, Labels
 from jaxfilter.core.params import filter_params
 from jaxfilter.files.classes import Finding, class_name, classes_of, findings_of, table_of
@@ -194,13 +192,8 @@ def test_classes_are_those_of_the_whole_in_files_and_tiles(survey, tmp_path):
     result = Level()(cloud)
     expected = classes_of(cloud, result, LAS14)
     assert {1, 2, 3, 4, 5, 7, 9, 17, 18} <= set(expected.tolist()) and not (expected == 0).any()
-    report = jf.ground(
-        folder / "parts",
-        tmp_path / "out",
-        Level(),
-        classes=LAS14,
-        run=jf.RunOptions(tile=100.0, workers=1, wide_halos=True),
-    )
+    how = jf.RunOptions(tile=100.0, workers=1, wide_halos=True)
+    report = jf.ground(folder / "parts", tmp_path / "out", Level(), classes=LAS14, run=how)
     assert report.complete and report.tiles > 1
     for name, rows in (("west", west), ("east", ~west)):
         np.testing.assert_array_equal(laspy.read(tmp_path / "out" / f"{name}.laz").classification, expected[rows])
@@ -209,14 +202,11 @@ def test_classes_are_those_of_the_whole_in_files_and_tiles(survey, tmp_path):
     }
     jf.write(tmp_path / "one.copc.laz", cloud, result, classes=LAS14)
     found = laspy.read(tmp_path / "one.copc.laz")
-    key = [
-        np.lexsort([c, *xyz.T])
-        for c, xyz in (
-            (expected, np.rint(cloud.coordinates() * 1000)),
-            (found.classification, np.rint(found.xyz * 1000)),
-        )
+    rows = [
+        np.unique(np.column_stack([np.rint(xyz * 1000), classes]), axis=0)
+        for xyz, classes in ((cloud.coordinates(), expected), (found.xyz, found.classification))
     ]
-    np.testing.assert_array_equal(np.asarray(found.classification)[key[1]], expected[key[0]])
+    np.testing.assert_array_equal(*rows)
     assert max(high_noise.REACH, vegetation.REACH) <= survey_ground._REACH
 
 
@@ -236,23 +226,12 @@ def test_text_with_classes_has_them_too(survey, tmp_path):
 
 
 def test_the_command_writes_named_sets_and_single_classes(survey, tmp_path):
-    source = str(survey[0] / "whole.laz")
-
-    def run(*words):
-        done = CliRunner().invoke(main, ["ground", "pmf", *words])
-        assert done.exit_code == 0, done.output
-        return done
-
-    facts = json.loads(
-        run(source, str(tmp_path / "a.laz"), "--classes", "usgs", "--high-noise-class", "64", "--json").stdout
-    )
-    assert facts["written"]["high_noise"] == 64 and facts["written"]["noise_class"] == 7
-    classes = np.asarray(laspy.read(tmp_path / "a.laz").classification)
-    assert {1, 2, 7, 64} == set(classes.tolist()) and facts["written"]["vegetation"] is None
-    shown = run(source, str(tmp_path / "b.laz"), "--vegetation-classes", "0.3", "1", "3").stdout
-    assert "0 never classified  5 high vegetation" in " ".join(shown.split("\n")).replace("   ", "  ").replace(
-        "   ", "  "
-    )
+    words = ("ground", "pmf", survey[0] / "whole.laz")
+    written = facts(*words, tmp_path / "a.laz", "--classes", "usgs", "--high-noise-class", "64")["written"]
+    assert (written["high_noise"], written["noise_class"], written["vegetation"]) == (64, 7, None)
+    assert {1, 2, 7, 64} == set(np.asarray(laspy.read(tmp_path / "a.laz").classification).tolist())
+    shown = done(*words, tmp_path / "b.laz", "--vegetation-classes", "0.3", "1", "3").stdout
+    assert "0 never classified 5 high vegetation" in " ".join(shown.split())
     assert {0, 1, 2, 3, 4, 5} == set(np.asarray(laspy.read(tmp_path / "b.laz").classification).tolist())
 
 

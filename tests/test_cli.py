@@ -7,7 +7,6 @@ import datetime
 import json
 import os
 import re
-import resource
 import subprocess
 import sys
 
@@ -15,14 +14,12 @@ import click
 import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import assert_one_line, done, facts, run
 
 import jaxfilter as jf
-from jaxfilter.cli import flags, main
+from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
 from jaxfilter.cli.session import in_flags
-from jaxfilter.cli.values import on_command_line
-from jaxfilter.core.filter import Filter
 from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
@@ -45,24 +42,16 @@ def folder(tmp_path, scene):
     return tmp_path
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
-
-
 def ground(folder, *arguments, source="scene.laz", target="out.laz", method="fptd"):
     return run("ground", method, folder / source, folder / target, *arguments)
 
 
-def assert_one_line(result, exit_code, *words):
-    assert result.exit_code == exit_code, result.output
-    lines = [line for line in result.stderr.splitlines() if not line.startswith("warning: ")]
-    assert len(lines) == 1 and lines[0].startswith("Error: "), result.stderr
-    for word in words:
-        assert word in lines[0]
-
-
 def everything(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def classes_of(path):
+    return np.asarray(laspy.read(path).classification)
 
 
 @METHODS
@@ -72,8 +61,7 @@ def test_ground_writes_what_the_library_finds(folder, method):
     report = json.loads(result.stdout)
     cloud = read(folder / "scene.laz", units="m")
     expected = FILTERS[method]()(cloud).ground
-    written = laspy.read(folder / "out.laz")
-    np.testing.assert_array_equal(np.asarray(written.classification) == 2, expected)
+    np.testing.assert_array_equal(classes_of(folder / "out.laz") == 2, expected)
     assert report["ground"] == expected.sum() and report["points"] == len(cloud)
     assert report["candidates"] == cloud.candidate.sum()
     assert report["status"] == "CONVERGED"
@@ -94,37 +82,29 @@ def test_flags_reach_the_filter(folder, method):
     assert json.loads(result.stdout)["parameters"][name] == value
 
 
-@pytest.mark.parametrize("method", list(FILTERS))
-def test_flags_cover_every_field_once(method):
-    command = ground_command(FILTERS[method])
-    names = [p.name for p in command.params]
-    assert len(names) == len(set(names)), "a parameter has the name of an option of the command"
-    assert {f.name for f in dataclasses.fields(FILTERS[method])} <= set(names)
+def test_flags_cover_every_field_once():
+    for method in FILTERS.values():
+        names = [option.name for option in ground_command(method).params]
+        assert len(names) == len(set(names)), "a parameter has the name of an option of the command"
+        assert {field.name for field in dataclasses.fields(method)} <= set(names)
 
 
-def test_fields_of_every_kind_become_flags():
-    @dataclasses.dataclass(frozen=True)
-    class Toy(Filter):
-        number: float = dataclasses.field(default=1.0, metadata={"doc": "a number", "unit": "m", "range": "> 0"})
-        count: int = 3
-        switch: bool = True
-        mode: str = dataclasses.field(default="a", metadata={"choices": ("a", "b")})
-        off: float | None = dataclasses.field(default=2.0, metadata={"optional": True})
+@pytest.mark.parametrize("method, words, values", [
+    ("spf", ("--no-low-clusters", "--fill", "zero", "--max-rounds", 7), {"low_clusters": False, "fill": "zero", "max_rounds": 7}),
+    ("pmf", ("--low-clusters", "--no-exponential"), {"low_clusters": True, "exponential": False}),
+    ("ost", ("--spacing", "none"), {"spacing": None}), ("ost", ("--spacing", 3), {"spacing": 3.0}),
+])  # fmt: skip
+def test_fields_of_every_kind_become_flags(folder, monkeypatch, method, words, values):
+    seen = []
 
-    def given(*arguments):
-        command = flags.click.Command("toy", params=flags.options(Toy))
-        with command.make_context("toy", list(arguments)):
-            return on_command_line(flags.fields(Toy))
+    def classify(filter_, *_, **__):
+        seen.append(filter_)
+        raise jf.InputError("enough")
 
-    assert given() == {}
-    assert given("--number", "2", "--count", "4") == {"number": 2.0, "count": 4}
-    assert given("--no-switch") == {"switch": False} and given("--switch") == {"switch": True}
-    assert given("--off", "none") == {"off": None} and given("--off", "3") == {"off": 3.0}
-    assert given("--mode", "b") == {"mode": "b"}
-    for wrong in (("--count", "1.5"), ("--mode", "c"), ("--off", "nothing"), ("--number", "none")):
-        with pytest.raises(flags.click.UsageError):
-            given(*wrong)
-    assert flags.describe(dataclasses.fields(Toy)[0]) == "a number [> 0 m; default 1.0]"
+    monkeypatch.setattr(FILTERS[method], "classify", classify)
+    assert_one_line(ground(folder, *words, method=method), 1, "enough")
+    assert seen == [FILTERS[method](**values)]
+    assert "[symbol s; > 0 rise/run; default 0.15]" in " ".join(run("ground", "smrf", "--help").stdout.split())
 
 
 @pytest.mark.parametrize(("text", "told"), [
@@ -154,52 +134,29 @@ def test_presets_and_the_cloud_set_parameters(folder, scene, options, width):
         assert given[name] == value or float(given[name]) == value  # infinity is a string in JSON
 
 
-def test_quiet_and_plain_output(folder):
-    plain = ground(folder)
-    assert plain.exit_code == 0 and "points are ground" in plain.stdout
-    quiet = ground(folder, "--quiet", "--overwrite")
-    assert quiet.exit_code == 0 and quiet.stdout == ""
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--max-angle", "-1"), ("FPTD(max_angle=-1.0)", "must be > 0 and < 90")),
-        (("--window", "nan"), ("window=nan",)),
-        (("--units", "parsec"), ("parsec", "us-ft")),
-        (("--returns", "second"), ("second", "intermediate")),
-    ],
-)
-def test_bad_parameters_are_usage_errors_found_before_reading(folder, arguments, words):
+@pytest.mark.parametrize("target, arguments, words", [
+    ("out.laz", ("--max-angle", "-1"), ("FPTD(max_angle=-1.0)", "must be > 0 and < 90")),
+    ("out.laz", ("--window", "nan"), ("window=nan",)),
+    ("out.laz", ("--units", "parsec"), ("parsec", "us-ft")),
+    ("out.laz", ("--returns", "second"), ("second", "intermediate")),
+    ("truth.laz", (), ("--overwrite",)),
+    ("scene.laz", (), ("--in-place",)),
+    ("no/out.laz", (), ("not a folder",)),
+    ("out.tif", (), ("suffix",)),
+])  # fmt: skip
+def test_wrong_usage_is_found_before_reading(folder, target, arguments, words):
     (folder / "scene.laz").write_bytes(b"not a point cloud")
     before = everything(folder)
-    assert_one_line(ground(folder, *arguments), 2, *words)
+    assert_one_line(ground(folder, *arguments, target=target), 2, *words)
     assert everything(folder) == before
 
 
-@pytest.mark.parametrize(
-    "target, word",
-    [("truth.laz", "--overwrite"), ("scene.laz", "--in-place"), ("no/out.laz", "not a folder"), ("out.tif", "suffix")],
-)
-def test_outputs_that_cannot_be_are_usage_errors_found_before_reading(folder, target, word):
-    (folder / "scene.laz").write_bytes(b"not a point cloud")
-    before = everything(folder)
-    assert_one_line(ground(folder, target=target), 2, word)
-    assert everything(folder) == before
-
-
-def test_a_missing_output_a_missing_input_and_an_unknown_method_are_usage_errors(folder):
-    assert_one_line(run("ground", "fptd", folder / "scene.laz"), 2, "OUT is missing")
-    assert run("ground", "fptd", folder / "nothing.laz", folder / "out.laz").exit_code == 2
-    assert ground(folder, method="nosuch").exit_code == 2
-    assert ground(folder, "--nosuch", 3).exit_code == 2
-
-
-def test_overwrite_and_in_place_do_as_told(folder):
-    assert ground(folder, "--overwrite", target="truth.laz").exit_code == 0
-    assert run("ground", "fptd", folder / "scene.laz", "--in-place").exit_code == 0
-    for name in ("truth.laz", "scene.laz"):
-        assert (np.asarray(laspy.read(folder / name).classification) == 2).any()
+def test_overwrite_and_in_place_do_as_told_and_quiet_says_nothing(folder):
+    assert (
+        "points are ground" in done("ground", "fptd", folder / "scene.laz", folder / "truth.laz", "--overwrite").stdout
+    )
+    assert done("ground", "fptd", folder / "scene.laz", "--in-place", "--quiet").stdout == ""
+    assert all((classes_of(folder / name) == 2).any() for name in ("truth.laz", "scene.laz"))
     assert sorted(everything(folder)) == ["scene.laz", "truth.laz", "truth.txt"]
 
 
@@ -228,22 +185,6 @@ def test_a_run_that_fails_leaves_nothing(folder, monkeypatch, error, code):
         assert type(ground(folder, "--debug").exception) is type(error)
 
 
-def test_a_full_disk_leaves_nothing(folder):
-    before = everything(folder)
-    ground(folder, target="warm.laz")
-    (folder / "warm.laz").unlink()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # writing beyond it fails as on a full disk
-    try:
-        result = ground(folder)
-        again = ground(folder, "--in-place", target="scene.laz")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert_one_line(result, 1, "out.laz", "cannot be written")
-    assert_one_line(again, 1, "scene.laz", "cannot be written")
-    assert everything(folder) == before
-
-
 @pytest.fixture
 def survey(folder):
     """survey.las: a delivered tile with a river, a bridge and a class of the producer's own inside; its classes."""
@@ -262,94 +203,59 @@ def survey(folder):
 @pytest.mark.parametrize("method", ["fptd", "smrf"])
 def test_classes_of_a_survey_are_kept_and_have_no_influence(folder, survey, method):
     kept = np.isin(survey, (9, 17, 26))
-    report = json.loads(ground(folder, "--json", source="survey.las", target="out.las", method=method).stdout)
-    classes = np.asarray(laspy.read(folder / "out.las").classification)
+    report = facts("ground", method, folder / "survey.las", folder / "out.las")
+    classes = classes_of(folder / "out.las")
     np.testing.assert_array_equal(classes[kept], survey[kept])
     pairs, counts = np.unique(np.stack([survey, classes]), axis=1, return_counts=True)
-    expected = [
+    assert report["classes"] == [
         {"before": a, "after": b, "points": n} for a, b, n in zip(*pairs.tolist(), counts.tolist(), strict=True)
     ]
-    assert report["classes"] == expected
     assert report["of_ground_class"] == (classes == 2).sum() > report["ground"], "withheld ground stays"
 
     las = laspy.read(folder / "survey.las")
     las.points = las.points[~kept]
     las.write(folder / "dry.las")
-    assert ground(folder, source="dry.las", target="alone.las", method=method).exit_code == 0
-    np.testing.assert_array_equal(np.asarray(laspy.read(folder / "alone.las").classification), classes[~kept])
+    done("ground", method, folder / "dry.las", folder / "alone.las")
+    np.testing.assert_array_equal(classes_of(folder / "alone.las"), classes[~kept])
 
 
 def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
     plain = ground(folder, source="survey.las", target="out.las", method="smrf").stdout
-    rows = [line.split() for line in plain.splitlines()]
-    assert ["9", "water", "kept", f"{(survey == 9).sum():,}"] in rows
-    assert "points that were not judged keep class 2; the file now has " in " ".join(plain.split())
-    every = ("--ignore-class", "none", "--returns", "all", "--keep-withheld")
-    report = json.loads(ground(folder, *every, "--json", source="survey.las", target="all.las", method="smrf").stdout)
+    assert ["9", "water", "kept", f"{(survey == 9).sum():,}"] in [line.split() for line in plain.splitlines()]
+    of_class = f"{(classes_of(folder / 'out.las') == 2).sum():,}"
+    assert f"points that were not judged keep class 2; the file now has {of_class}" in " ".join(plain.split())
+    every = ("--returns", "all", "--keep-withheld", "--overwrite")
+    report = facts("ground", "smrf", folder / "survey.las", folder / "all.las", "--ignore-class", "none", *every)
     assert report["candidates"] == len(survey) and report["of_ground_class"] == report["ground"]
-    replaced = ("--ignore-class", "26", "--returns", "all", "--keep-withheld", "--json", "--overwrite")
-    report = json.loads(ground(folder, *replaced, source="survey.las", target="all.las", method="smrf").stdout)
+    report = facts("ground", "smrf", folder / "survey.las", folder / "all.las", "--ignore-class", "26", *every)
     assert report["candidates"] == (survey != 26).sum(), "--ignore-class replaces the default"
 
 
-@pytest.mark.parametrize("mark", ["class", "flag"])
-def test_points_of_the_overlap_are_judged_and_named_unless_they_are_set_aside(folder, survey, mark):
+def test_points_of_the_overlap_are_judged_and_named_unless_they_are_set_aside(folder, survey):
     las = laspy.read(folder / "survey.las")
     strip = np.abs(las.x - np.mean(las.x)) < 6
-    strip[[pick(axis) for pick in (np.argmin, np.argmax) for axis in (las.x, las.y)]] = False
-    if mark == "class":
-        las.classification[strip] = 12
-    else:
-        las = laspy.convert(las, point_format_id=6)
-        las.overlap = strip
-    las.write(folder / "marked.las")
-    before = np.asarray(las.classification)
-    judged = ground(folder, source="marked.las", target="judged.las", method="smrf")
-    assert judged.exit_code == 0, judged.output
-    after = np.asarray(laspy.read(folder / "judged.las").classification)
+    las.classification[strip] = 12
+    laspy.convert(las, point_format_id=1).write(folder / "marked.las")  # which has no flag
+    judged = done("ground", "smrf", folder / "marked.las", folder / "judged.las", "--overlap-flag")
     named = re.search(r"([\d,]+) points are of class 12 or have the overlap flag: ([\d,]+) of them were", judged.stdout)
     assert int(named[1].replace(",", "")) == strip.sum() >= int(named[2].replace(",", "")) > 100
-    assert (after[strip] == 2).mean() > 0.1 and "--ignore-overlap sets them aside" in " ".join(judged.stdout.split())
-    laspy.convert(las, point_format_id=1).write(folder / "old.las")
-    flagged = ground(folder, "--overlap-flag", source="old.las", target="flagged.las", method="smrf")
-    kept, of_class = re.search(
-        r"(-?[\d,]+) points that were not judged keep class 2; the file now has ([\d,]+)", flagged.stdout
-    ).groups()
-    written = np.asarray(laspy.read(folder / "flagged.las").classification)
-    assert int(of_class.replace(",", "")) == (written == 2).sum() and 0 < int(kept) < 100
-    assert ("points of class 12 keep their class" in flagged.output) == (mark == "class")
-    aside = ground(folder, "--ignore-overlap", "--json", source="marked.las", target="aside.las", method="smrf")
-    counts = json.loads(aside.stdout)["overlap"]
-    assert counts == {"points": strip.sum(), "judged": 0, "ground": 0, "kept": 0}
-    found = np.asarray(laspy.read(folder / "aside.las").classification)
-    np.testing.assert_array_equal(found[strip], before[strip])
-    las.points = las.points[~strip]
-    las.write(folder / "rest.las")
-    assert ground(folder, source="rest.las", target="alone.las", method="smrf").exit_code == 0
-    np.testing.assert_array_equal(found[~strip], laspy.read(folder / "alone.las").classification)
+    assert "points of class 12 keep their class" in judged.output
+    assert "--ignore-overlap sets them aside" in " ".join(judged.stdout.split())
+    aside = facts("ground", "smrf", folder / "marked.las", folder / "aside.las", "--ignore-overlap")
+    assert aside["overlap"] == {"points": strip.sum(), "judged": 0, "ground": 0, "kept": 0}
+    assert (classes_of(folder / "aside.las")[strip] == 12).all()
 
 
-@pytest.fixture
-def with_low(folder, scene):
-    """low.las: the scene with echoes far below the ground, two together and one alone; how many points it has without."""
+def test_low_outliers_get_the_class_of_noise(folder, scene):
+    """Echoes far below the ground, two together and one alone."""
     xyz = scene.cloud.coordinates()
     low = xyz[:, :2].min(axis=0) + np.array([[20.0, 20.0], [20.4, 20.2], [40.0, 35.0]])
     points = np.vstack([xyz, np.column_stack([low, np.full(3, xyz[:, 2].min() - 8)])])
     write(folder / "low.las", jf.PointCloud.from_arrays(points), None)
-    return len(xyz)
-
-
-def test_low_outliers_get_the_class_of_noise(folder, with_low):
-    done = ground(folder, "--noise-class", "7", "--json", source="low.las", target="out.las", method="pmf")
-    assert done.exit_code == 0, done.output
-    classes = np.asarray(laspy.read(folder / "out.las").classification)
-    assert (classes[with_low:] == 7).all() and (classes == 7).sum() == 3
-    report = json.loads(done.stdout)
+    report = facts("ground", "pmf", folder / "low.las", folder / "out.las", "--noise-class", "7")
+    assert np.flatnonzero(classes_of(folder / "out.las") == 7).tolist() == [len(xyz) + k for k in range(3)]
     assert {"before": 0, "after": 7, "points": 3} in report["classes"]
     assert report["noise_class"] == 7 and report["low_noise"] == 3
-    assert ground(folder, source="low.las", target="plain.las", method="pmf").exit_code == 0
-    plain = np.asarray(laspy.read(folder / "plain.las").classification)
-    np.testing.assert_array_equal(plain, np.where(classes == 7, 1, classes))
 
 
 @pytest.mark.parametrize("source", ["truth.txt", "scene.laz"])
@@ -361,8 +267,8 @@ def test_text_without_classes_cannot_hold_noise(folder, source):
 
 @pytest.mark.parametrize("source, target", [("truth.txt", "out.txt"), ("truth.laz", "out.csv")])
 def test_the_summary_of_text_speaks_of_its_labels(folder, source, target):
-    done = ground(folder, "--json", source=source, target=target, method="smrf")
-    report, out = json.loads(done.stdout), np.genfromtxt(folder / target, delimiter="," if "csv" in target else None)
+    report = facts("ground", "smrf", folder / source, folder / target)
+    out = np.genfromtxt(folder / target, delimiter="," if "csv" in target else None)
     held = [{"label": k, "points": int((out[:, 3] == k).sum())} for k in (0, 1)]
     assert report["labels"] == held and report["classes"] == [] and held[0]["points"] == report["ground"] > 0
     shown = ground(folder, "--overwrite", source=source, target=target, method="smrf").stdout
@@ -372,7 +278,7 @@ def test_the_summary_of_text_speaks_of_its_labels(folder, source, target):
 def test_the_summary_of_text_with_classes_speaks_of_these(folder, scene):
     table = np.column_stack([scene.xyz, scene.classes])
     np.savetxt(folder / "in.csv", table, "%.3f,%.3f,%.3f,%d", header="x,y,z,classification", comments="")
-    report = json.loads(ground(folder, "--json", source="in.csv", target="out.csv", method="smrf").stdout)
+    report = facts("ground", "smrf", folder / "in.csv", folder / "out.csv")
     classes = np.genfromtxt(folder / "out.csv", delimiter=",", skip_header=1)[:, 3]
     after = {k: sum(one["points"] for one in report["classes"] if one["after"] == k) for k in range(256)}
     assert after == {k: int((classes == k).sum()) for k in range(256)} and "labels" not in report
@@ -398,18 +304,16 @@ def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder)
     before = everything(folder)
     assert_one_line(ground(folder, "--log", folder / "scene.laz"), 2, "scene.laz", "input or output")
     assert_one_line(ground(folder, "--log", folder / "no" / "a.log"), 2, "a.log", "cannot be written")
-    inner = CliRunner().invoke(main, ["info", str(folder), "--log", str(folder / "scene.laz")])
-    assert_one_line(inner, 2, "scene.laz", "is no log")
+    assert_one_line(run("info", folder, "--log", folder / "scene.laz"), 2, "scene.laz", "is no log")
     assert everything(folder) == before
 
 
 def test_places_and_breaklines_are_two_files(folder):
-    both = folder / "both.gpkg"
+    both, made = folder / "both.gpkg", folder / "made"
     assert_one_line(ground(folder, "--review", both, "--breaklines", both), 2, "both.gpkg", "name two")
-    products = ["products", folder / "truth.laz", folder / "made", "--classified", 2, "--overwrite"]
-    words = [*products, "--breaklines", folder / "made" / "contours.gpkg", "--only", "contours"]
-    assert_one_line(CliRunner().invoke(main, [str(word) for word in words]), 2, "contours.gpkg", "name another")
-    assert not both.exists() and not (folder / "made").exists()
+    words = ("--classified", 2, "--overwrite", "--only", "contours", "--breaklines", made / "contours.gpkg")
+    assert_one_line(run("products", folder / "truth.laz", made, *words), 2, "contours.gpkg", "name another")
+    assert not both.exists() and not made.exists()
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is always full")
@@ -430,25 +334,22 @@ def test_progress_where_there_is_no_terminal_is_a_line_now_and_then(folder):
 @pytest.mark.parametrize("source, reference", [("scene.laz", "truth.laz"), ("truth.laz", "truth.txt")])
 def test_evaluate_counts_points_in_any_order(folder, scene, source, reference):
     ground(folder, source=source)
-    labels = np.asarray(laspy.read(folder / "out.laz").classification) == 2
+    labels = classes_of(folder / "out.laz") == 2
     for arguments, counted in (
         ((), np.ones(len(scene), bool)),
         (("--candidates-only",), read(folder / source, units="m").candidate),
         (("--ignore-class", "5", "--ignore-class", "6"), ~np.isin(scene.classes, (5, 6))),
     ):
-        result = run("evaluate", folder / "out.laz", folder / reference, "--json", *arguments)
-        assert result.exit_code == 0, result.output
-        confusion = json.loads(result.stdout)["confusion"]
+        confusion = facts("evaluate", folder / "out.laz", folder / reference, *arguments)["confusion"]
         for row, truth in zip(confusion, (scene.truth, ~scene.truth), strict=True):
             assert row == [(counted & truth & labels).sum(), (counted & truth & ~labels).sum()]
 
 
 def test_evaluate_prints_a_table_and_undefined_figures_as_null(folder, scene):
-    nothing = np.zeros(len(scene), bool)
-    write(folder / "empty.laz", scene.cloud, nothing, reset="all")
-    plain = run("evaluate", folder / "empty.laz", folder / "truth.laz")
-    assert plain.exit_code == 0 and "undefined" in plain.stdout and "100.00" in plain.stdout
-    assert json.loads(run("evaluate", folder / "empty.laz", folder / "truth.laz", "--json").stdout)["precision"] is None
+    write(folder / "empty.laz", scene.cloud, np.zeros(len(scene), bool), reset="all")
+    plain = done("evaluate", folder / "empty.laz", folder / "truth.laz").stdout
+    assert "undefined" in plain and "100.00" in plain
+    assert facts("evaluate", folder / "empty.laz", folder / "truth.laz")["precision"] is None
 
 
 def test_evaluate_refuses_other_points_and_missing_labels(folder):
@@ -462,71 +363,68 @@ def test_evaluate_refuses_other_points_and_missing_labels(folder):
 
 
 def test_methods_and_info_speak_json(folder, scene):
-    table = json.loads(run("methods", "--json").stdout)
+    table, listed = facts("methods"), run("methods").stdout
     assert list(table) == list(FILTERS)
-    listed = run("methods").stdout
     for name, method in FILTERS.items():
         assert f"\n{name}  " in f"\n{listed}"
         assert all(f"  --preset {preset}: {values.note}\n" in listed for preset, values in method.PRESETS.items())
     assert table["fptd"]["notes"]["D1"] == FILTERS["fptd"].PRESETS["D1"].note
-    facts = json.loads(run("info", folder / "scene.laz", "--json").stdout)
-    assert facts["points"] == len(scene) and facts["extra_bytes"] == []
+    found = facts("info", folder / "scene.laz")
+    assert found["points"] == len(scene) and found["extra_bytes"] == []
     shown = dict(line.split("  ", 1) for line in run("info", folder / "scene.laz").stdout.splitlines())
     assert shown["points"].strip() == f"{len(scene):,}" and shown["extra bytes"].strip() == "none"
-    assert float(shown["candidates per m2"]) == pytest.approx(facts["density"], rel=1e-3)
-
-
-def demo(folder, cache, *arguments):
-    code = "from jaxfilter.cli import main; main()"
-    call = [sys.executable, "-c", code, "demo", str(folder), "--method", "msf", "--size", "120", "120", *arguments]
-    own = {key: value for key, value in os.environ.items() if not key.startswith("JAX_COMPILATION_CACHE")}
-    return subprocess.run(call, capture_output=True, text=True, env=own | {"JAXFILTER_CACHE": str(cache)})
+    assert float(shown["candidates per m2"]) == pytest.approx(found["density"], rel=1e-3)
 
 
 @pytest.mark.slow
 def test_demo_runs_again_from_the_compilation_cache(tmp_path, private_folder):
     """The second process spends less than a fifth of the first one's compile time."""
-    first, second = (json.loads(demo(tmp_path / "demo", private_folder, "--json").stdout) for _ in range(2))
+    words = ["demo", tmp_path / "demo", "--method", "msf", "--size", "120", "120", "--json"]
+    own = {key: value for key, value in os.environ.items() if not key.startswith("JAX_COMPILATION_CACHE")}
+    own |= {"JAXFILTER_CACHE": str(private_folder)}
+    first, second = (
+        json.loads(subprocess.run([sys.executable, "-m", "jaxfilter", *words], capture_output=True, env=own).stdout)
+        for _ in range(2)
+    )
     assert first["compilations"]["count"] > 0
     assert second["compilations"]["seconds"] < first["compilations"]["seconds"] / 5
     assert first["scores"] == second["scores"] and first["scores"]["kappa"] > 50
     assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(os.path.basename(f) for f in first["files"])
-
-    (folder,) = tmp_path.glob("demo")
     for name in ("scene.laz", "scene_truth.laz", "scene_ground.laz"):  # a warning on units would be an error
-        assert read(folder / name).crs.to_epsg() == 25832
+        assert read(tmp_path / "demo" / name).crs.to_epsg() == 25832
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
-        (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
-        (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
-        (("compare", "in.laz"), "jf.compare"),
-        (("review", "in.laz"), "OUT is missing"),
-        (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
-        (("{scene}", "out.laz"), "ground {scene} OUT"),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+    (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
+    (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
+    (("compare", "in.laz"), "jf.compare"),
+    (("review", "in.laz"), "OUT is missing"),
+    (("ground", "fptd", "{scene}"), "OUT is missing"),
+    (("ground", "fptd", "nothing.laz", "out.laz"), "nothing.laz"),
+    (("ground", "nosuch", "{scene}", "out.laz"), "no method"),
+    (("ground", "fptd", "{scene}", "out.laz", "--nosuch", "3"), "--nosuch"),
+    (("ground", "fptd", "{scene}", "out.laz", "--max-rounds", "1.5"), "1.5"),
+    (("ground", "fptd", "{scene}", "out.laz", "--window", "none"), "none"),
+    (("ground", "spf", "{scene}", "out.laz", "--fill", "best"), "zero"),
+    (("ground", "ost", "{scene}", "out.laz", "--spacing", "nothing"), "nothing"),
+    (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+    (("{scene}", "out.laz"), "ground {scene} OUT"),
+    (("demo", "{folder}"), "truth.laz): name another folder, or pass --overwrite"),
+    (("demo", "{folder}/demo", "--method", "nosuch"), "nosuch"),
+])  # fmt: skip
 def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, words):
-    given = [word.format(scene=folder / "scene.laz") for word in arguments]
-    result = run(*given)
-    assert result.exit_code == 2 and words.format(scene=folder / "scene.laz") in result.stderr
+    names, before = {"scene": folder / "scene.laz", "folder": folder}, everything(folder)
+    result = run(*(word.format(**names) for word in arguments))
+    assert result.exit_code == 2 and words.format(**names) in result.stderr, result.stderr
     for command in re.findall(r"jaxfilter ([a-z]+)", result.stderr.partition("Error: ")[2]):
         assert command in main.commands
+    assert everything(folder) == before
 
 
 def test_names_of_files_in_python_are_answered_with_the_call_that_takes_them():
     with pytest.raises(jf.InputError, match=r"pass jaxfilter\.read\('in.laz'\)"):
         jf.SMRF()("in.laz")
-
-
-def test_demo_spares_folders_with_other_files(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    assert_one_line(run("demo", tmp_path), 2, "mine.txt", "--overwrite")
-    assert run("demo", tmp_path / "demo", "--method", "nosuch").exit_code == 2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt"]
 
 
 def test_help_of_the_default_lists_its_options_and_the_methods():

@@ -11,17 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from commands import assert_one_line, facts, run
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.cli.session import Session, memory, short
-from jaxfilter.core.cloud import PointCloud
-from jaxfilter.core.errors import InputError
 from jaxfilter.core.filter import ground_each
 from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
-from jaxfilter.sweeps.labels import labels_from, point_labels, within
+from jaxfilter.sweeps.labels import point_labels
 
 SETS = {"slope": [0.1, 0.2], "threshold": [0.3, 0.5, 0.7]}
 AXES = ("--axis", "slope=0.1,0.2", "--axis", "threshold=0.3:0.7:0.2")
@@ -42,16 +39,15 @@ def folder(tmp_path, scene):
     return tmp_path
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
-
-
 def sweep(folder, *arguments, sources=("truth.laz",), axes=AXES):
     return run("sweep", "smrf", *(folder / name for name in sources), folder / "out", *axes, *arguments)
 
 
+FEW = ("--size", 24, "--rounds", 1, "--folds", 2)
+
+
 def calibrate(folder, *arguments, source="patches.laz"):
-    return run("calibrate", "smrf", folder / source, "--size", 24, "--rounds", 1, "--folds", 2, *arguments)
+    return run("calibrate", "smrf", folder / source, *FEW, *arguments)
 
 
 def stored(folder):
@@ -59,85 +55,66 @@ def stored(folder):
         return dataset.load()
 
 
-def assert_one_line(result, exit_code, *words):
-    assert result.exit_code == exit_code, result.output
-    lines = [each for each in result.stderr.splitlines() if not each.startswith("warning: ")]
-    assert len(lines) == 1 and lines[0].startswith("Error: "), result.stderr
-    for word in words:
-        assert word in lines[0], lines[0]
-
-
 def test_sweep_stores_what_the_library_finds(folder, scene):
     result = sweep(folder, "--votes", "--json")
     assert result.exit_code == 0, result.output
     cloud = read(folder / "truth.laz", units="m")
-    expected = jf.sweep(jf.SMRF(), cloud, SETS, votes=True)
-    found = stored(folder)
+    expected, found = jf.sweep(jf.SMRF(), cloud, SETS, votes=True), stored(folder)
     assert dict(found.sizes) == {"slope": 2, "threshold": 3, "point": len(scene)}
     for name in ("slope", "threshold", "type1", "type2", "total", "kappa", "ground", "votes"):
         np.testing.assert_allclose(found[name].values, expected[name].values, rtol=1e-6, err_msg=name)
     assert found["slope"].attrs["units"] == "rise/run" and found.attrs["method"] == "SMRF"
-    scores = jf.evaluate(jf.SMRF(slope=0.2, threshold=0.5)(cloud), cloud)
-    assert found["total"].sel(slope=0.2, threshold=0.5) == pytest.approx(scores.total)
 
-    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
+    table, report = pd.read_csv(folder / "out" / "sets.csv", index_col="set"), json.loads(result.stdout)
     pd.testing.assert_frame_equal(table, best_sets(expected, count=None), check_dtype=False)
-    report = json.loads(result.stdout)
     assert report["sets"] == 6 and report["groups"] == 1 and report["parameters"]["cell"] == 1.0
-    assert report["best"][0]["set"] == table.index[0] and report["best"][0]["total"] == pytest.approx(
-        table["total"].min()
-    )
+    assert report["best"][0]["set"] == table.index[0]
+    assert report["best"][0]["total"] == pytest.approx(table["total"].min())
     assert {"sweep.nc", "sets.csv"} <= set(report["files"])
     assert {p.name for p in (folder / "out").iterdir()} == {*report["files"], "checkpoint.npz"}
 
 
 def test_sweep_draws_and_prints(folder):
     result = sweep(folder, "--votes", "--score", "kappa")
-    assert (
-        result.exit_code == 0 and "best sets by kappa" in result.stdout and "6 sets, 1 cloud, 1 group" in result.stdout
-    )
-    top = stored(folder)["kappa"].values.max()
+    assert result.exit_code == 0, result.output
+    assert "best sets by kappa" in result.stdout and "6 sets, 1 cloud, 1 group" in result.stdout
     _, heading, row, *_ = result.stdout.splitlines()
-    assert heading.split()[:3] == ["set", "slope", "threshold"] and f"{top:.2f}" in row
+    assert heading.split()[:3] == ["set", "slope", "threshold"]
+    assert f"{stored(folder)['kappa'].values.max():.2f}" in row
     for name in ("curves.png", "maps.png", "votes.png"):
         assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
-    again = sweep(folder, "--quiet", axes=AXES[:2])
-    assert_one_line(again, 2, "--fresh")
+    assert_one_line(sweep(folder, "--quiet", axes=AXES[:2]), 2, "--fresh")
     again = sweep(folder, "--quiet", "--fresh", axes=AXES[:2])
     assert again.exit_code == 0 and again.stdout == ""
     names = {p.name for p in (folder / "out").iterdir()}
     assert names == {"checkpoint.npz", "curves.png", "sets.csv", "sweep.nc"}, "pictures of the sweep before are gone"
+    (folder / "out" / "checkpoint.npz").unlink()
+    before = (folder / "out" / "sweep.nc").read_bytes()
+    assert_one_line(sweep(folder, axes=AXES[2:]), 2, "sweep.nc", "--fresh")
+    assert (folder / "out" / "sweep.nc").read_bytes() == before
 
 
 def test_sweep_of_several_clouds_and_without_labels(folder):
-    result = sweep(folder, "--votes", "--json", sources=("truth.laz", "scene.laz"), axes=("--axis", "slope=0.1,0.2"))
-    assert result.exit_code == 0, result.output
+    axes = ("--axis", "slope=0.1,0.2")
+    assert sweep(folder, "--votes", sources=("truth.laz", "scene.laz"), axes=axes).exit_code == 0
     found = stored(folder)
     assert found["cloud"].values.tolist() == ["truth", "scene"]
     np.testing.assert_array_equal(found["votes_truth"], found["votes_scene"])
     assert found["total"].sel(cloud="truth").notnull().all() and found["total"].sel(cloud="scene").isnull().all()
     table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
     np.testing.assert_allclose(table["total"], table["total_truth"])
-
     assert_one_line(sweep(folder, "--fresh", sources=("scene.laz",)), 1, "scene.laz has no labels", "--votes")
-    alone = sweep(folder, "--fresh", "--votes", sources=("scene.laz",), axes=("--axis", "slope=0.1,0.2"))
+    alone = sweep(folder, "--fresh", "--votes", sources=("scene.laz",), axes=axes)
     assert alone.exit_code == 0 and "best" not in alone.stdout
     assert {p.name for p in (folder / "out").iterdir()} >= {"sweep.nc", "sets.csv"}
     np.testing.assert_array_equal(stored(folder)["votes"], found["votes_scene"])
 
 
-@pytest.mark.parametrize(
-    "arguments, expected",
-    [
-        (("--axis", "slope=0.1:0.3:0.05"), {"slope": [0.1, 0.15, 0.2, 0.25, 0.3]}),
-        (("--axis", "slope=0.1:0.29:0.1"), {"slope": [0.1, 0.2]}),
-        (
-            ("--design", "list", "--axis", "slope=0.1,0.2", "--axis", "cell=1,1.05"),
-            {"slope": [0.1, 0.2], "cell": [1, 1.05]},
-        ),
-        (("--axis", "slope=0.1,0.2", "--set", "scaling=2"), {"slope": [0.1, 0.2]}),
-    ],
-)
+@pytest.mark.parametrize("arguments, expected", [
+    (("--axis", "slope=0.1:0.3:0.05"), {"slope": [0.1, 0.15, 0.2, 0.25, 0.3]}),
+    (("--axis", "slope=0.1:0.29:0.1", "--set", "scaling=2"), {"slope": [0.1, 0.2]}),
+    (("--design", "list", "--axis", "slope=0.1,0.2", "--axis", "cell=1,1.05"), {"slope": [0.1, 0.2], "cell": [1, 1.05]}),
+])  # fmt: skip
 def test_axes_are_read_as_written(folder, arguments, expected):
     result = sweep(folder, "--json", axes=arguments)
     assert result.exit_code == 0, result.output
@@ -148,60 +125,54 @@ def test_axes_are_read_as_written(folder, arguments, expected):
 
 def test_designs_draw_from_ranges_and_choose_from_values(folder):
     axes = ("--axis", "slope=0.1..0.3", "--axis", "cell=1,1.05", "--design", "sobol", "--size", 8, "--seed", 5)
-    result = sweep(folder, "--json", axes=axes)
-    assert result.exit_code == 0, result.output
-    found = stored(folder)
-    assert dict(found.sizes) == {"set": 8}
+    report, found = facts("sweep", "smrf", folder / "truth.laz", folder / "out", *axes), stored(folder)
     slope = found["slope"].values
+    assert dict(found.sizes) == {"set": 8} and report["groups"] == 2
     assert len(set(slope)) == 8 and slope.min() >= 0.1 and slope.max() <= 0.3
     assert sorted(found["cell"].values.tolist()) == [1.0] * 4 + [1.05] * 4
-    assert json.loads(result.stdout)["groups"] == 2
     table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
     np.testing.assert_array_equal(table["slope"], slope[table.index])
 
 
 def test_values_that_are_none_or_words_are_stored_as_words(folder):
     axes = ("--axis", "fill=neighbours,zero", "--axis", "low_clusters=yes,no", "--design", "list")
-    result = run("sweep", "spf", folder / "truth.laz", folder / "out", *axes, "--json")
-    assert result.exit_code == 0, result.output
+    facts("sweep", "spf", folder / "truth.laz", folder / "out", *axes)
     found = stored(folder)
     assert found["fill"].values.tolist() == ["neighbours", "zero"]
     assert found["low_clusters"].values.tolist() == [True, False]
-    cloud = read(folder / "truth.laz", units="m")
-    last = jf.SPF(fill="zero", low_clusters=False)(cloud)
+    last = jf.SPF(fill="zero", low_clusters=False)(read(folder / "truth.laz", units="m"))
     assert found["ground"].values[1] == last.ground.sum()
-    axes = ("--axis", "spacing=none,2", "--axis", "rounds=0")
-    assert run("sweep", "ost", folder / "truth.laz", folder / "out", *axes, "--fresh").exit_code == 0
+    facts(
+        "sweep",
+        "ost",
+        folder / "truth.laz",
+        folder / "out",
+        "--axis",
+        "spacing=none,2",
+        "--axis",
+        "rounds=0",
+        "--fresh",
+    )
     assert stored(folder)["spacing"].values.tolist() == ["none", "2"]
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
-        (("--axis", "slope="), ("slope", "empty")),
-        (("--axis", "slope=0.1,nan"), ("slope", "NaN")),
-        (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
-        (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
-        (("--axis", "slope=0.1,0.1"), ("slope", "repeats")),
-        (("--axis", "slope"), ("'slope'", "FIELD=...")),
-        (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
-        (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
-        (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
-        (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
-        (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
-        (("--axis", "slope=0.3..0.1", "--design", "random", "--size", 4), ("slope", "low to high")),
-        (("--axis", "slope=0.1..0.3", "--design", "random"), ("size",)),
-        (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
-        (("--axis", "slope=0.1,0.2", "--size", 4), ("size=4",)),
-        (("--axis", "slope=0.1,0.2", "--axis", "threshold=1", "--design", "list"), ("slope", "threshold", "as many")),
-        (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
-        (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
-        (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
-        (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
-        (("--axis", "slope=0.1", "--units", "parsec"), ("parsec",)),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
+    (("--axis", "slope="), ("slope", "empty")),
+    (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
+    (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
+    (("--axis", "slope"), ("'slope'", "FIELD=...")),
+    (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
+    (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
+    (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
+    (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
+    (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
+    (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
+    (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
+    (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
+    (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
+    (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
+])  # fmt: skip
 def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, words):
     (folder / "truth.laz").write_bytes(b"not a point cloud")
     assert_one_line(sweep(folder, axes=arguments), 2, *words)
@@ -213,57 +184,32 @@ def test_unknown_methods_and_files_for_folders_are_usage_errors(folder):
     assert run("sweep", "smrf", folder / "truth.laz", folder / "scene.laz", *AXES).exit_code == 2  # OUT_DIR is a file
 
 
-class Counted:
-    """Counts the sets that SMRF labels; interrupts after some."""
-
-    def __init__(self, monkeypatch, stop=None):
-        self.sets = 0
-
-        def counted(*arguments, **options):
-            for each in ground_each(*arguments, **options):
-                if self.sets == stop:
-                    raise KeyboardInterrupt
-                self.sets += 1
-                yield each
-
-        monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", counted)
-
-
 def test_an_interrupted_sweep_resumes_without_computing_again(folder, monkeypatch):
+    labelled, stop = [], 8
+
+    def counted(*arguments, **options):
+        for each in ground_each(*arguments, **options):
+            if len(labelled) == stop:
+                raise KeyboardInterrupt
+            labelled.append(each)
+            yield each
+
+    monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", counted)
     axes = (*AXES, "--axis", "cell=1,1.05")
-    with monkeypatch.context() as patch:
-        counted = Counted(patch, stop=8)
-        stopped = sweep(folder, axes=axes)
-    assert stopped.exit_code == 130 and counted.sets == 8
+    stopped = sweep(folder, axes=axes)
+    assert stopped.exit_code == 130 and len(labelled) == 8
     assert "stopped by SIGINT; finished sets are kept" in stopped.stderr and "Traceback" not in stopped.output
     assert [p.name for p in (folder / "out").iterdir()] == ["checkpoint.npz"]
     assert_one_line(sweep(folder, axes=AXES), 2, "checkpoint.npz", "other sets", "--fresh")
-    with monkeypatch.context() as patch:
-        counted = Counted(patch)
-        assert sweep(folder, axes=axes).exit_code == 0
-    assert counted.sets == 12 - 8
-    resumed = stored(folder)
-    with monkeypatch.context() as patch:
-        counted = Counted(patch)
-        assert sweep(folder, axes=axes).exit_code == 0
-        assert counted.sets == 0
-        assert sweep(folder, "--fresh", axes=axes).exit_code == 0
-        assert counted.sets == 12
+    stop, resumed = None, None
+    for more, sets in (((), 12), ((), 12), (("--fresh",), 24)):
+        assert sweep(folder, *more, axes=axes).exit_code == 0 and len(labelled) == sets
+        resumed = stored(folder) if resumed is None else resumed
     xr.testing.assert_identical(resumed, stored(folder))
 
 
-def test_results_without_a_checkpoint_are_not_replaced(folder):
-    assert sweep(folder, axes=AXES[:2]).exit_code == 0
-    (folder / "out" / "checkpoint.npz").unlink()
-    before = (folder / "out" / "sweep.nc").read_bytes()
-    assert_one_line(sweep(folder, axes=AXES[2:]), 2, "sweep.nc", "--fresh")
-    assert (folder / "out" / "sweep.nc").read_bytes() == before
-
-
 def test_calibrate_finds_what_the_library_finds(folder, scene):
-    result = calibrate(folder, "--json", "--out", folder / "smrf.json")
-    assert result.exit_code == 0, result.output
-    report = json.loads(result.stdout)
+    report = facts("calibrate", "smrf", folder / "patches.laz", *FEW, "--out", folder / "smrf.json")
     cloud = read(folder / "patches.laz", units="m")
     labels = np.where(cloud.classification == 0, -1, cloud.classification == 2)
     expected = jf.calibrate(jf.SMRF(), cloud, labels, size=24, rounds=1, folds=2)
@@ -273,18 +219,16 @@ def test_calibrate_finds_what_the_library_finds(folder, scene):
     assert report["labelled"] == {"ground": (labels == 1).sum(), "object": (labels == 0).sum()}
     assert json.loads((folder / "smrf.json").read_text())["parameters"] == report["parameters"]
     assert jf.SMRF(**report["changed"]) == expected.filter
-
     words = shlex.split(report["command"])
     assert words[:3] == ["jaxfilter", "ground", "smrf"]
     words[words.index("OUT")] = str(folder / "ground.laz")
-    assert json.loads(run(*words[1:], "--json").stdout)["parameters"] == report["parameters"]
+    assert facts(*words[1:])["parameters"] == report["parameters"]
 
 
 def test_labels_may_come_from_another_file_or_from_patches(folder, scene):
     """The same labels by class, by a text file with a part of the points, and by bounds in a file with all classes."""
-    report = json.loads(calibrate(folder, "--json").stdout)
-    cloud = read(folder / "patches.laz", units="m")
-    known = np.flatnonzero(cloud.classification != 0)[::-1]
+    report = facts("calibrate", "smrf", folder / "patches.laz", *FEW)
+    known = np.flatnonzero(read(folder / "patches.laz", units="m").classification != 0)[::-1]
     table = np.column_stack([scene.xyz, scene.classes != 2])[known]
     np.savetxt(folder / "labels.txt", table, fmt=("%.2f", "%.2f", "%.2f", "%d"))
     x, y = scene.xyz[:, :2].min(axis=0)
@@ -294,7 +238,7 @@ def test_labels_may_come_from_another_file_or_from_patches(folder, scene):
         ("scene.laz", ("--labels", folder / "patches.laz")),
         ("truth.laz", patches),
     ):
-        other = json.loads(calibrate(folder, "--json", *arguments, source=source).stdout)
+        other = facts("calibrate", "smrf", folder / source, *FEW, *arguments)
         for key in ("found", "cross_validated", "spread", "before", "labelled"):
             assert other[key] == report[key], (arguments, key)
 
@@ -318,18 +262,12 @@ def test_calibrate_prints_the_command_and_keeps_files(folder):
     assert calibrate(folder, *options, "--overwrite", "--quiet").stdout == ""
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--axis", "steepness=0.1..1"), ("steepness", "slope, window")),
-        (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
-        (("--axis", "slope=0.2..0.1"), ("slope", "low to high")),
-        (("--axis", "slope=nan..1"), ("slope", "NaN")),
-        (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
-        (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
-        (("--out", "no/such/folder.json"), ("not a folder",)),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
+    (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
+    (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
+    (("--out", "no/such/folder.json"), ("not a folder",)),
+])  # fmt: skip
 def test_wrong_searches_are_usage_errors_found_before_reading(folder, arguments, words):
     (folder / "patches.laz").write_bytes(b"not a point cloud")
     assert_one_line(calibrate(folder, *arguments), 2, *words)
@@ -342,49 +280,34 @@ def test_labels_that_cannot_be_used_are_named(folder, scene):
     assert_one_line(calibrate(folder, "--bounds", 0, 0, 1, 1), 1, "bounds 0 0 1 1", "no labelled point")
     moved = scene.xyz[:5] + [0.0, 0.0, 0.5]
     np.savetxt(folder / "moved.txt", np.column_stack([moved, np.arange(5) % 2]), fmt=("%.2f", "%.2f", "%.2f", "%d"))
-    assert_one_line(
-        calibrate(folder, "--labels", folder / "moved.txt"), 1, "moved.txt", "5 of 5", f"{moved[:, 0].min():.2f}"[:-3]
-    )
+    found = calibrate(folder, "--labels", folder / "moved.txt")
+    assert_one_line(found, 1, "moved.txt", "5 of 5", f"{moved[:, 0].min():.2f}"[:-3])
     np.savetxt(folder / "bare.txt", moved, fmt="%.2f")
     assert_one_line(calibrate(folder, "--labels", folder / "bare.txt"), 1, "bare.txt", "neither classes nor labels")
 
 
-def test_labels_of_some_points_reach_all_that_coincide_with_them(rng):
-    xyz = np.round(rng.uniform(0, 30, (500, 3)), 2) + [500_000.0, 5_400_000.0, 300.0]
-    xyz[100:110] = xyz[:10]  # coincident
-    cloud = PointCloud.from_arrays(xyz)
-    chosen = rng.permutation(400)[:200] + 100
-    kind = rng.integers(0, 2, 200)
-    some = PointCloud.from_arrays(xyz[chosen], reference=kind == 1)
-    found = labels_from(cloud, some, point_labels(some))
-    expected = np.full(500, -1)
-    for at, label in zip(chosen, kind, strict=True):
-        expected[(xyz == xyz[at]).all(axis=1)] = label
-    np.testing.assert_array_equal(found, expected)
-    both = PointCloud.from_arrays(xyz[[5, 5, 6]], reference=np.array([True, False, True]))
-    found = labels_from(cloud, both, point_labels(both))
-    assert found[[5, 105, 6, 106]].tolist() == [-1, -1, 1, 1] and (found == -1).sum() == 498
-    in_patch = within(cloud, [(500_000.0, 5_400_000.0, 500_010.0, 5_400_030.0)], expected)
-    inside = (xyz[:, 0] >= 500_000) & (xyz[:, 0] < 500_010) & (xyz[:, 1] < 5_400_030)
-    np.testing.assert_array_equal(in_patch, np.where(inside, expected, -1))
-    with pytest.raises(InputError, match="1 of 1 labelled points are not in the cloud"):
-        labels_from(cloud, PointCloud.from_arrays(xyz[:1] + 0.1), np.array([1]))
+def test_labels_of_some_points_reach_all_that_coincide_with_them(folder, scene):
+    """The last ten points lie where the first ten do, and of the first labels contradict each other."""
+    xyz = np.unique(scene.xyz, axis=0)
+    np.savetxt(folder / "in.txt", np.concatenate([xyz, xyz[:10]]), fmt="%.2f")
+    labels = np.column_stack([xyz[:400], np.arange(400) % 2])
+    np.savetxt(folder / "labels.txt", [*labels, [*xyz[0], 1]], fmt=("%.2f", "%.2f", "%.2f", "%d"))
+    words = ("calibrate", "smrf", folder / "in.txt", *FEW, "--labels", folder / "labels.txt", "--units", "m")
+    assert facts(*words)["labelled"] == {"ground": 199 + 4, "object": 200 + 5}
+    first, last = read(folder / "in.txt", units="m").coordinates()[[0, 399], 0]
+    west = np.append(labels[labels[:, 0] < xyz[399, 0], 3], labels[1:10, 3])  # the eastern bound is outside
+    found = facts(*words, "--bounds", first, 0, last, 1e8)["labelled"]
+    assert found == {"ground": (west == 0).sum() - 1, "object": (west == 1).sum()} and len(west) < 409
 
 
-@pytest.mark.parametrize(
-    "value, unit, words",
-    [
-        (0, "sets", "0.0 sets"),
-        (999.4, "sets", "999 sets"),
-        (12_345_678, "points", "12.3 M points"),
-        (1.25e9, "B", "1.2 GB"),
-    ],
-)
-def test_figures_of_the_bar_are_short(value, unit, words):
-    assert short(value, unit) == words
-
-
-def test_the_memory_of_the_bar_is_that_of_the_process():
+def test_figures_of_the_bar_are_short_and_its_memory_is_that_of_the_process():
+    shown = {
+        "0.0 sets": (0, "sets"),
+        "999 sets": (999.4, "sets"),
+        "12.3 M points": (12_345_678, "points"),
+        "1.2 GB": (1.25e9, "B"),
+    }
+    assert {words: short(*given) for words, given in shown.items()} == {words: words for words in shown}
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     before = memory()
     block = np.ones(30_000_000)
@@ -430,14 +353,9 @@ def test_a_terminal_has_one_line_of_progress_that_goes_when_the_step_ends(monkey
 
 
 def test_labels_of_their_own_go_before_classes():
-    classes, own = np.array([2, 6, 0], np.uint8), np.array([False, True, True])
-    cloud = jf.PointCloud.from_arrays(np.eye(3), classification=classes)
-    assert point_labels(cloud).tolist() == [1, 0, -1]
-    assert point_labels(jf.PointCloud.from_arrays(np.eye(3), classification=classes, reference=own)).tolist() == [
-        0,
-        1,
-        1,
-    ]
+    classes, own = {"classification": np.array([2, 6, 0], np.uint8)}, np.array([False, True, True])
+    assert point_labels(jf.PointCloud.from_arrays(np.eye(3), **classes)).tolist() == [1, 0, -1]
+    assert point_labels(jf.PointCloud.from_arrays(np.eye(3), **classes, reference=own)).tolist() == [0, 1, 1]
 
 
 @pytest.mark.parametrize("name", ["checkpoint.npz", "sweep.nc", "sets.csv", "curves.png"])

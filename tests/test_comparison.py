@@ -15,7 +15,7 @@ import scipy.stats
 
 import jaxfilter as jf
 from jaxfilter.core.markup import sheet
-from jaxfilter.sweeps.comparison import Comparison, holm, least_p, paired
+from jaxfilter.sweeps.comparison import Comparison, holm
 from jaxfilter.sweeps.tables import latex, markdown
 from jaxfilter.terrain.accuracy import FIGURES
 
@@ -83,26 +83,47 @@ def test_tables_are_written_as_markdown_and_latex(compared):
     assert str(compared).splitlines()[0].split() == re.findall(r"<th>(.+)</th>", compared._repr_html_())
 
 
-@pytest.mark.parametrize(
-    "filters, options, words",
-    [
-        ([], {}, "there is none"),
-        (["no"], {}, "'no' is no filter"),
-        ([jf.SMRF(), jf.SMRF()], {}, "two of the name SMRF"),
-        ([jf.SMRF()], {"repeats": -1}, "repeats=-1"),
-        ([jf.SMRF()], {"cell": 0.0}, "cell=0.0"),
-        ([jf.SMRF()], {"workers": 0}, "workers=0"),
-        ([jf.SMRF()], {"workers": 1.5}, "workers=1.5"),
-        ([jf.SMRF()], {"groups": {"north": "a"}}, "no cloud 'north'"),
-    ],
-)
+LISTS = {"one of two": [jf.SMRF(threshold=0.2), jf.SMRF(threshold=1.5)]}
+
+
+@pytest.mark.parametrize("filters, options, words", [
+    ([], {}, "there is none"),
+    (["no"], {}, "'no' is no filter"),
+    ([jf.SMRF(), jf.SMRF()], {}, "two of the name SMRF"),
+    ([jf.SMRF()], {"repeats": -1}, "repeats=-1"),
+    ([jf.SMRF()], {"cell": 0.0}, "cell=0.0"),
+    ([jf.SMRF()], {"workers": 0}, "workers=0"),
+    ([jf.SMRF()], {"workers": 1.5}, "workers=1.5"),
+    ([jf.SMRF()], {"groups": {"north": "a"}}, "no cloud 'north'"),
+    (LISTS, {"groups": {"west": "all", "east": "all"}}, "there is one group only"),
+])  # fmt: skip
 def test_wrong_arguments_are_found_before_anything_runs(clouds, filters, options, words):
     with pytest.raises(jf.ParameterError, match=words):
         jf.compare(filters, clouds, **options)
+
+
+def test_clouds_go_by_names_or_numbers(clouds):
     with pytest.raises(jf.InputError, match="compare: two clouds are called '1'"):
         jf.compare([jf.SMRF()], {1: clouds["west"], "1": clouds["east"]})
     with pytest.raises(jf.InputError, match="compare: there is no cloud"):
         jf.compare([jf.SMRF()], {})
+    with pytest.raises(jf.ParameterError, match="there is one group only"):  # none is chosen on clouds of its own group
+        jf.compare(LISTS, list(clouds.values()), groups={0: "site", 1: "site"}, repeats=0)
+
+
+def table_of(values):
+    """Methods to a total error per cloud; clouds are of the groups a, a, b, b, ..."""
+    rows = [
+        {"method": m, "cloud": f"c{i}", "group": "abcdefgh"[i // 2], "total": v, "kappa": 100 - v}
+        for m, line in values.items()
+        for i, v in enumerate(line)
+    ]
+    return Comparison(pandas.DataFrame(rows))
+
+
+def significance(own, other, score="total"):
+    """Of two methods, the first against the second."""
+    return table_of({"own": own, "other": other}).significance(score).iloc[0]
 
 
 def signed_rank_p(differences):
@@ -113,42 +134,27 @@ def signed_rank_p(differences):
     return min(1.0, 2 * min((sums >= observed).mean(), (sums <= observed).mean()))
 
 
-def test_groups_may_go_by_the_number_of_a_cloud(clouds):
-    """So that none is chosen on clouds of its own group."""
-    lists = {"one of two": [jf.SMRF(threshold=0.2), jf.SMRF(threshold=1.5)]}
-    with pytest.raises(jf.ParameterError, match="there is one group only"):
-        jf.compare(lists, list(clouds.values()), groups={0: "site", 1: "site"}, repeats=0)
-
-
+@pytest.mark.filterwarnings("ignore:significance:jaxfilter.JaxfilterWarning")
 def test_significance_is_that_of_the_signed_ranks(rng):
     other = rng.normal(10, 1, 9)
     own = other - rng.normal(0.5, 0.6, 9)
-    found = paired(np.column_stack([other, own]))
-    assert found["p"] == pytest.approx(signed_rank_p(other - own))
-    assert found["better"] == (own < other).sum() and found["worse"] == (own > other).sum()
-    assert found["difference"] == pytest.approx((own - other).mean())
-    assert paired(np.column_stack([other, own]), larger_is_better=True)["better"] == found["worse"]
-    assert paired([(1.0, 1.0), (2.0, 2.0)])["p"] == 1.0
-    assert paired([])["clouds"] == 0 and math.isnan(paired([])["p"])
-    rows = [
-        {"method": m, "cloud": str(i), "total": values[i]}
-        for m, values in (("A", other), ("B", own))
-        for i in range(9)
-    ]  # fmt: skip
-    pair = Comparison(pandas.DataFrame(rows)).significance()
-    assert (pair["method"][0], pair["other"][0]) == ("A", "B") and pair["p"][0] == pytest.approx(found["p"])
-    assert pair["difference"][0] == pytest.approx(-found["difference"])
-    against = Comparison(pandas.DataFrame(rows)).significance(against="A")
+    found, as_kappa = significance(own, other), significance(own, other, "kappa")
+    assert found["p"] == as_kappa["p"] == pytest.approx(signed_rank_p(other - own))
+    assert found["better"] == as_kappa["better"] == (own < other).sum() and found["worse"] == (own > other).sum()
+    assert found["difference"] == pytest.approx((own - other).mean()) == pytest.approx(-as_kappa["difference"])
+    statistic = scipy.stats.wilcoxon(own, other).statistic  # the smaller of both sums of ranks
+    assert abs(found["effect"]) == pytest.approx(1 - 2 * statistic / (9 * 10 / 2))
+    assert found["effect"] * found["median_difference"] < 0  # positive: the method errs less
+    alike, none = significance([1.0, 2.0], [1.0, 2.0]), significance([math.nan], [1.0])
+    assert (alike["p"], alike["effect"], none["clouds"]) == (1.0, 0.0, 0) and math.isnan(none["p"])
+    assert significance([1.0, 1.0], [2.0, 3.0])["effect"] == 1.0
+    against = table_of({"A": other, "B": own}).significance(against="A")
     assert against["method"].tolist() == ["B"] and against["clouds"][0] == 9
-
-
-def test_equal_differences_have_equal_ranks():
-    """Shares in percent that differ by one point in a thousand differ by rounding, too."""
+    # Shares in percent that differ by one point in a thousand differ by rounding, too: equal differences have equal ranks.
     own, other = np.array([32, 10, 55, 23, 76, 5]), np.array([33, 11, 56, 22, 77, 4])
-    exact, rounded = paired(np.column_stack([other, own])), paired(100 * np.column_stack([other, own]) / 1000)
-    assert (rounded["effect"], rounded["p"]) == (exact["effect"], exact["p"]) and exact["effect"] == pytest.approx(
-        2 / 6
-    )
+    exact, rounded = significance(other, own), significance(100 * other / 1000, 100 * own / 1000)
+    assert (rounded["effect"], rounded["p"]) == (exact["effect"], exact["p"])
+    assert exact["effect"] == pytest.approx(-2 / 6)
 
 
 def test_groups_are_compared_on_the_clouds_that_both_have():
@@ -165,11 +171,14 @@ def test_holm_corrects_step_by_step():
     assert holm([0.5, 0.6]) == [1.0, 1.0]
 
 
-def test_unknown_scores_and_methods_are_named(compared):
+def test_unknown_scores_and_methods_are_named_and_every_figure_has_a_table(compared):
     with pytest.raises(jf.ParameterError, match="score='f1'"):
         compared.by_method("f1")
     with pytest.raises(jf.ParameterError, match="against='CSF'"):
         compared.significance(against="CSF")
+    for score in FIGURES:
+        assert compared.markdown(score).startswith("| method | west | east | mean |"), score
+        assert compared.latex(score).startswith(r"\begin{tabular}"), score
 
 
 # ---- results, clouds and filters ----
@@ -187,15 +196,10 @@ def test_results_become_tables_with_coordinates_and_units(town):
     assert np.array_equal(table["classification"], town.classes) and list(table)[:3] == ["x", "y", "z"]
     assert (table["decision"] == "accepted").sum() == (result.decision == jf.Decision.ACCEPTED).sum()
     assert data.attrs["method"] == "SMRF" and data.attrs["status"] == "CONVERGED"
+    assert result.run.filter == jf.SMRF() and result.run.cloud is cloud and result.run.seconds > 0
+    assert "run" not in repr(result)
     alone = dataclasses.replace(result, run=None)
     assert "x" not in alone.to_xarray().coords and len(alone.to_pandas()) == len(cloud)
-
-
-def test_results_know_their_filter_cloud_and_seconds(town):
-    filter_ = jf.SMRF(threshold=0.4)
-    result = filter_(town.cloud)
-    assert result.run.filter == filter_ and result.run.cloud is town.cloud and result.run.seconds > 0
-    assert "run" not in repr(result)
 
 
 def test_what_notebooks_show_is_escaped_and_complete(town):
@@ -210,31 +214,11 @@ def test_what_notebooks_show_is_escaped_and_complete(town):
     assert "<table" in jf.PointCloud.from_arrays(np.zeros((0, 3)))._repr_html_()
 
 
-def test_the_effect_is_the_rank_biserial_correlation(rng):
-    other = rng.normal(10, 1, 11)
-    own = other - rng.normal(0.3, 0.6, 11)
-    found = paired(np.column_stack([other, own]))
-    statistic = scipy.stats.wilcoxon(own, other).statistic  # the smaller of both sums of ranks
-    assert abs(found["effect"]) == pytest.approx(1 - 2 * statistic / (11 * 12 / 2))
-    assert found["effect"] * found["median_difference"] < 0  # positive: the method errs less
-    assert paired([(2.0, 1.0), (3.0, 1.0)])["effect"] == 1.0 and paired([(1.0, 1.0)])["effect"] == 0.0
-
-
-def table_of(values):
-    """Methods to a total error per cloud; clouds are of the groups a, a, b, b, ..."""
-    rows = [
-        {"method": m, "cloud": f"c{i}", "group": "abcdefgh"[i // 2], "total": v, "kappa": 100 - v}
-        for m, line in values.items()
-        for i, v in enumerate(line)
-    ]
-    return Comparison(pandas.DataFrame(rows))
-
-
 def test_too_few_clouds_for_any_significance_are_said():
-    assert least_p(4) == 0.125 == scipy.stats.wilcoxon([1.0, 2.0, 3.0, 4.0]).pvalue
+    least = scipy.stats.wilcoxon([1.0, 2.0, 3.0, 4.0]).pvalue
     four = table_of({"A": [1.0, 2.0, 3.0, 4.0], "B": [2.0, 4.0, 6.0, 8.0]})
     with pytest.warns(jf.JaxfilterWarning, match=r"4 clouds cannot give p below 0\.12.* at least 6 clouds"):
-        assert four.significance()["p"].tolist() == [0.125]
+        assert four.significance()["p"].tolist() == [0.125] == [least]
     eight = table_of({"A": np.arange(8.0), "B": np.arange(8.0) * 1.1 + 1})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -266,12 +250,6 @@ def test_a_model_that_is_too_low_is_no_better_than_one_that_is_too_high():
     assert (row["better"], row["worse"], row["difference"]) == (1, 1, 0.5)
 
 
-def test_every_figure_has_a_table_of_methods_by_clouds(compared):
-    for score in FIGURES:
-        assert compared.markdown(score).startswith("| method | west | east | mean |"), score
-        assert compared.latex(score).startswith(r"\begin{tabular}"), score
-
-
 def test_of_a_list_each_group_is_filtered_with_what_is_best_on_the_others(town):
     x = town.xyz[:, 0]
     thirds = np.searchsorted(np.quantile(x, (1 / 3, 2 / 3)), x)
@@ -291,7 +269,3 @@ def test_of_a_list_each_group_is_filtered_with_what_is_best_on_the_others(town):
         row = found.table[(found.table["method"] == "SMRF") & (found.table["cloud"] == name)].iloc[0]
         assert row["parameters"] == repr(best) and row["total"] == total[best.threshold, name]
     assert found.by_method(by="group").index.tolist() == ["west", "east"]
-    with pytest.raises(jf.ParameterError, match="one group only"):
-        jf.compare({"SMRF": sets}, clouds, groups=dict.fromkeys(clouds, "all"))
-    with pytest.raises(jf.ParameterError, match="there is no cloud 'x'"):
-        jf.compare({"SMRF": sets}, clouds, groups={"x": "a"})

@@ -90,18 +90,21 @@ def test_few_points_and_points_at_one_place(tmp_path, n, place):
     assert len(jf.read(path)) == n
 
 
-@pytest.mark.parametrize(
-    "kind, field, value", [("i", 0, -1), ("i", 0, 64), ("Q", 16, 2**40), ("i", 24, -1), ("i", 28, -2)]
-)
-def test_a_damaged_entry_of_the_octree_is_named(tmp_path, kind, field, value):
-    """Its level, offset, length and number of points."""
+@pytest.mark.parametrize("layout, at, value, words", [
+    *[(layout, 32 + at, value, "entry of the octree's page at byte {page} is damaged")  # level, offset, length, points
+      for layout, at, value in (("i", 0, -1), ("i", 0, 64), ("Q", 16, 2**40), ("i", 24, -1), ("i", 28, -2))],
+    ("i", 28, 399, "the octree does not name the chunks that are in the table"),
+    ("Qii", 16, None, "page of the octree"),  # which names itself
+])  # fmt: skip
+def test_a_damaged_octree_is_named(tmp_path, layout, at, value, words):
     path = tmp_path / "in.copc.laz"
     make_copc(path)
     with CopcReader.open(path) as reader:
         page = reader.copc_info.hierarchy_root_offset
-    patch(path, kind, page + 32 + field, value)  # of the second entry
-    with pytest.raises(jf.InputError, match=f"in.copc.laz: entry of the octree's page at byte {page} is damaged"):
+    patch(path, layout, page + at, *((page, 32, -1) if value is None else (value,)))
+    with pytest.raises(jf.InputError, match=f"in.copc.laz: {words.format(page=page)}"):
         jf.read(path, bounds=(OFFSETS[0] + 1, OFFSETS[1] + 1, OFFSETS[0] + 9, OFFSETS[1] + 9))
+    assert len(jf.read(path)) == 400, "all points are found without it"
 
 
 @pytest.mark.parametrize("number", [4, 5, 9, 10])
@@ -116,7 +119,7 @@ def test_waveforms_are_refused_before_anything_is_written(tmp_path, number):
 def test_the_change_of_format_is_said_and_copc_and_arrays_become_copc(tmp_path):
     make_las(tmp_path / "in.las", 3)
     with pytest.warns(jf.JaxfilterWarning, match="converted from 3 to 7"):
-        jf.ground(tmp_path / "in.las", tmp_path / "a.copc.laz", jf.PMF(max_window=9.0))
+        jf.write(tmp_path / "a.copc.laz", jf.read(tmp_path / "in.las"), None)
     make_copc(tmp_path / "b.copc.laz")
     cloud = jf.read(tmp_path / "b.copc.laz")
     jf.write(tmp_path / "c.copc.laz", cloud, None)

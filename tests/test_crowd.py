@@ -77,14 +77,6 @@ def test_what_stands_for_points_does_not_depend_on_where_the_cloud_is_cut(rng):
     np.testing.assert_array_equal(*chosen)
 
 
-def test_rows_that_stand_for_others_count_them_once(rng):
-    crowd = crowd_of(np.repeat(sheet(rng, side=3.0), 2, axis=0))
-    assert crowd.points.weight.sum() == len(crowd.every) > 4 * len(crowd.points)
-    assert len(crowd.every.cloud) == 2 * len(crowd.every)
-    values = crowd.points.spread(crowd.points.xyz[:, 0])
-    assert np.abs(values - crowd.every.cloud.xyz[:, 0]).max() <= 0.25
-
-
 def test_positions_are_tested_over_the_triangulation_as_scipy_interpolates_it(rng):
     xy = rng.uniform(0, 20, (300, 2))
     xyz = canonical_points(jf.PointCloud.from_arrays(np.column_stack([xy, np.sin(xy[:, 0] / 3)]))).xyz

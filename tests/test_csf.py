@@ -62,13 +62,18 @@ def ragged(rng, rows, columns):
 
 
 @pytest.mark.parametrize(
-    "rigidness, shape, iterations",
-    [(1, (11, 14), 500), (2, (14, 9), 500), (3, (6, 21), 8), (2, (1, 30), 500), (3, (40, 2), 500), (1, (1, 1), 30)],
-)
-def test_the_cloth_is_that_of_one_particle_after_the_other(rng, rigidness, shape, iterations):
+    "rigidness, shape, tolerance, iterations",
+    [
+        (1, (11, 14), 0.005, 500), (2, (14, 9), 0.005, 500), (3, (6, 21), 0.005, 8), (2, (1, 30), 0.005, 500),
+        (3, (40, 2), 0.005, 500), (1, (1, 1), 0.005, 30), (3, (11, 14), 0.0, 19),
+    ],
+)  # fmt: skip
+def test_the_cloth_is_that_of_one_particle_after_the_other(rng, monkeypatch, rigidness, shape, tolerance, iterations):
+    """The last one is not at rest after two sweeps and a part of one."""
+    monkeypatch.setattr(module, "_SWEEP", module._SWEEP if tolerance else 8)
     limit = ragged(rng, *shape)
-    z, pinned, steps = one_by_one(limit.astype(float), MOVES[rigidness], 0.0357, 0.005, iterations)
-    cloth = drape(limit, MOVES[rigidness], 0.0357, 0.005, iterations)
+    z, pinned, steps = one_by_one(limit.astype(float), MOVES[rigidness], 0.0357, tolerance, iterations)
+    cloth = drape(limit, MOVES[rigidness], 0.0357, tolerance, iterations)
     assert cloth.steps == steps and steps > 5 and (steps == iterations or steps < 200)
     np.testing.assert_allclose(cloth.height, z, atol=1e-4)
     assert (cloth.pinned == pinned).all() and (0 < pinned.sum() < pinned.size or pinned.size == 1)
@@ -84,16 +89,6 @@ def test_the_cloth_does_not_depend_on_threads_or_sweeps(rng, monkeypatch, sweep,
     for one, other in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(one, other)
     assert alone.pinned.any() and not alone.pinned.all()
-
-
-def test_a_cloth_that_is_not_at_rest_takes_the_steps_that_are_asked_for(rng, monkeypatch):
-    """Two sweeps and a part of one."""
-    monkeypatch.setattr(module, "_SWEEP", 8)
-    limit = ragged(rng, 11, 14)
-    z, _, _ = one_by_one(limit.astype(float), MOVES[3], 0.0357, 0.0, 19)
-    cloth = drape(limit, MOVES[3], 0.0357, 0.0, 19)
-    assert cloth.steps == 19
-    np.testing.assert_allclose(cloth.height, z, atol=1e-4)
 
 
 def test_a_cloth_in_free_fall_follows_gravity():
@@ -199,14 +194,3 @@ def test_gravity_of_the_program_is_weaker_than_that_of_the_equation():
     same = jf.CSF(gravity="equation", time_step=0.65**2)(scene.cloud)
     assert (same.ground == jf.CSF(gravity="program", time_step=0.65)(scene.cloud).ground).all()
     assert steps[0].ground.sum() > steps[1].ground.sum()
-
-
-def test_barred_clusters_carry_no_cloth():
-    scene = jf.scenes.make("town", size=(80, 80), density=1.0, seed=2)
-    xyz = scene.cloud.xyz[scene.cloud.candidate].astype(float)
-    low = np.array([[40.0, 40.0, xyz[:, 2].min() - 30], [40.2, 40.1, xyz[:, 2].min() - 30.1]])
-    with_low = jf.CSF()(np.concatenate([xyz, low]))
-    assert with_low.barred[-2:].all() and not with_low.ground[-2:].any()
-    assert (with_low.ground[:-2] == jf.CSF()(xyz).ground).mean() > 0.995
-    plain = jf.CSF(low_clusters=False)(np.concatenate([xyz, low]))
-    assert not plain.barred.any()

@@ -1,6 +1,7 @@
-"""Densification against a plain loop that triangulates everything anew in every round."""
+"""Densification, as methods use it, against a plain loop that triangulates everything anew in every round."""
 
 import dataclasses
+import functools
 import itertools
 import signal
 import threading
@@ -11,18 +12,19 @@ import pytest
 from scipy.spatial import cKDTree
 from triangulation import Mesh
 
+import jaxfilter as jf
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
-from jaxfilter.core.result import Decision, Status
+from jaxfilter.core.result import Decision, Status, silent
 from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import flips, walks
 from jaxfilter.engines.tin import ground as ground_module
 from jaxfilter.engines.tin import triangulation as tin_module
 from jaxfilter.engines.tin.facets import Rule
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Network, Outliers, Vertices
-from jaxfilter.engines.tin.network import block_networks, border_positions, one_network
+from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Outliers, Vertices
+from jaxfilter.engines.tin.network import block_networks, border_positions
 from jaxfilter.engines.tin.triangulation import lattice
 
 
@@ -37,58 +39,43 @@ def scene(seed=0, n=4000, side=90.0):
     return canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
 
 
-def seeds_of(points, barred=None, cell=15.0):
-    """Lowest point of each cell that is not barred."""
-    key = np.floor(points.xyz[:, 0] / cell) * 1000 + np.floor(points.xyz[:, 1] / cell)
-    order = np.lexsort((np.arange(len(points)), points.xyz[:, 2], key))
-    if barred is not None:
-        order = order[~barred[order]]
-    return np.sort(order[np.append(True, np.diff(key[order]) != 0)])
+def steep_scene(seed):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 90, (1500, 2)).round(1)
+    z = 0.6 * xy[:, 0] + 2 * np.sin(xy[:, 1] / 7) + rng.normal(0, 0.1, 1500)
+    return canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
 
 
-def network_of(points, late=None):
-    late = np.zeros(len(points), bool) if late is None else late
-    border = border_positions(*points.extent, 30.0, points.anchored())
-    return one_network(points, seeds_of(points, late), border, Outliers(late, late))
+def of_rows(points, values):
+    """Values of the points of a cloud, in the canonical order of its points."""
+    out = np.zeros(len(points), values.dtype)
+    out[points.member] = values[points.index]
+    return out
 
 
-def densify(net, growth, max_rounds=100, workers=None, keep_labels=False):
-    """The outcome of a growth, and whether it ended by itself."""
+def lowest_of_positions(xyz, rows):
+    """The first of rows, which ascend, at each position: in canonical order this is the lowest."""
+    return rows[np.sort(np.unique(xyz[rows, :2], axis=0, return_index=True)[1])]
+
+
+def densify(net, growth, workers=None):
+    """The outcome of a growth that ends by itself."""
     with GroundTin.start(net, growth, workers=workers) as out:
-        out.converged = grow(out, max_rounds, keep_labels=keep_labels) is Status.CONVERGED
+        assert grow(out, 1000) is Status.CONVERGED
         out.finish()
     return out
 
 
-def grown(net, max_rounds=100, workers=None, keep_labels=False, follow=False, spacing=0.0, **policies):
-    """The outcome of a growth with the rule, and what else is given."""
-    fields = {name: policies.pop(name) for name in ("mirror", "adaptive", "one_per_facet") if name in policies}
-    growth = Growth(Rule(**policies), **fields, vertices=Vertices(spacing), border_follows=follow)
-    return densify(net, growth, max_rounds, workers, keep_labels)
-
-
-def plain(
-    net,
-    max_angle,
-    max_elevation,
-    max_distance=np.inf,
-    signed=True,
-    refresh=True,
-    mirror=None,
-    one_each=False,
-):
+def plain(net, growth):
     """The same method without any of the machinery: float64, one triangulation and all open points in every round."""
-    xyz = net.xyz.astype(np.float64)
-    xy = lattice(net.xyz).astype(np.int64)
+    rule, mirror = growth.rule, growth.mirror
+    xyz, xy = net.xyz.astype(np.float64), lattice(net.xyz).astype(np.int64)
     ground = net.seed.copy()
-    virtual = np.flatnonzero(net.row < 0)
     while True:
-        rows = np.flatnonzero(ground)
-        _, at = np.unique(net.xyz[rows, :2], axis=0, return_index=True)  # canonical order: the lowest at each position
-        vertices = rows[np.sort(at)]
-        if refresh:
-            real = vertices[net.row[vertices] >= 0]
-            xyz[virtual, 2] = xyz[real[cKDTree(xy[real]).query(xy[virtual])[1]], 2]
+        vertices = lowest_of_positions(net.xyz, np.flatnonzero(ground))
+        if growth.border_follows:
+            real = vertices[net.real[vertices]]
+            xyz[net.virtual, 2] = xyz[real[cKDTree(xy[real]).query(xy[net.virtual])[1]], 2]
         mesh = Mesh(xy[vertices])
         open_ = np.flatnonzero(net.open & ~ground)
 
@@ -100,9 +87,9 @@ def plain(
             gap = np.linalg.norm(f - p[:, None], axis=2).min(1)
             sine = np.divide(d, gap, out=np.zeros_like(d), where=gap > 0)
             angle, v = np.degrees(np.arcsin(np.clip(sine, -1, 1))), p[:, 2] - f[:, :, 2].max(1)
-            if not signed:
+            if not rule.signed:
                 d, angle = np.abs(d), np.abs(angle)
-            return (angle <= max_angle) & (v <= max_elevation) & (d <= max_distance), f, n
+            return (angle <= rule.max_angle) & (v <= rule.max_elevation) & (d <= rule.max_distance), f, n
 
         where = mesh.find(xy[open_])
         ok, f, n = judge(xyz[open_], where)
@@ -117,7 +104,7 @@ def plain(
             ok[steep] = second | (ok[steep] & mirror.nearest)
         if not ok.any():
             return ground
-        if one_each:  # of the points over a facet that may become vertices the lowest over it; the others may all stay
+        if growth.one_per_facet:  # of the points over it that may become vertices the lowest; the others may all stay
             height = ((xyz[open_] - f[:, 0]) * n).sum(1) / n[:, 2]
             taken = {tuple(v) for v in net.xyz[vertices, :2]}
             fresh = np.array([tuple(v) not in taken for v in net.xyz[open_, :2]])
@@ -128,32 +115,47 @@ def plain(
         ground[open_[ok]] = True
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("refresh", [False, True])
-def test_signed_rule_equals_plain_loop(seed, refresh):
-    net = network_of(scene(seed))
-    out = grown(net, max_angle=15, max_elevation=0.9, signed=1, follow=refresh)
-    assert out.converged
-    expected = plain(net, 15, 0.9, refresh=refresh)
-    assert 0.4 < expected[net.row >= 0].mean() < 0.95
-    assert (out.ground != expected).sum() <= 2  # float32 against float64 at a threshold
+class OneEach(jf.PTD):
+    """Of the points over a facet the lowest only becomes a vertex, as in the downward step of IPTD."""
+
+    def growth(self, network):
+        return dataclasses.replace(super().growth(network), one_per_facet=True, mirror=None)
 
 
-@pytest.mark.parametrize("nearest", [False, True])
-def test_two_sided_rule_with_mirroring_equals_plain_loop(nearest):
-    net = network_of(scene(2))
-    mirror = Mirror(20.0, nearest)
-    out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
-    expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
-    assert (out.ground != expected).sum() <= 4
-    without = grown(net, max_angle=12, max_distance=0.8)
-    assert (out.ground != without.ground).sum() > 10
+TWO_SIDED = {"max_angle": 12.0, "max_distance": 0.8, "seed_cell": 15.0, "low_clusters": False}
+SIGNED = jf.FPTD(max_angle=15.0, max_elevation=0.9, window=20.0, stride=10.0, low_clusters=False)
+STEEP = SIGNED.replace(max_angle=12.0, max_elevation=0.7)
+
+
+@pytest.mark.parametrize("filter_, points", [
+    (SIGNED, scene(0)), (SIGNED, scene(1)), (STEEP, steep_scene(2)), (STEEP, steep_scene(3)),
+    (SIGNED.replace(blocks="independent", window=30.0, stride=5.0), scene(3, n=2500)),
+    (jf.PTD(max_terrain_angle=20.0, **TWO_SIDED), scene(2)), (jf.PTD(max_terrain_angle=5.0, **TWO_SIDED), scene(14, n=2500)),
+    (jf.PTD(max_terrain_angle=20.0, refresh_border=False, **TWO_SIDED), scene(2)),
+    (jf.ATIN(mirror="nearest", max_terrain_slope=36.0, **TWO_SIDED), scene(2)),
+    (jf.ATIN(mirror="nearest", max_terrain_slope=9.0, **TWO_SIDED), scene(14, n=2500, side=70.0)),
+    (OneEach(**TWO_SIDED, max_rounds=1000), scene(12, n=1200, side=60.0)),
+    (OneEach(**TWO_SIDED, max_rounds=1000), scene(13, n=1200, side=60.0)),
+], ids=lambda value: type(value).__name__)  # fmt: skip
+def test_labels_equal_those_of_a_plain_loop(filter_, points):
+    result, net = filter_(points.cloud), filter_.start(points, None, silent)
+    expected, growth = np.zeros(len(points), bool), filter_.growth(net)
+    for number in range(int(net.sheet[-1]) + 1):
+        part = sheet_of(net, number)
+        expected[part.row[plain(part, growth) & part.real]] = True
+    assert result.status is Status.CONVERGED and 0.4 < expected.mean() < 0.95
+    assert (of_rows(points, result.ground) != expected).sum() <= 4  # float32 against float64 at a threshold
+    if isinstance(filter_, jf.PTD):
+        assert (result.ground != jf.PTD(max_terrain_angle=90.0, **TWO_SIDED)(points.cloud).ground).sum() > 10
 
 
 def blocks_of(points, reach=63.6):
-    border = border_positions(*points.extent, 30.0, points.anchored())
-    none = np.zeros(len(points), bool)
-    return block_networks(points, seeds_of(points), border, Outliers(none, none), size=30.0, overlap=5.0, reach=reach)
+    """The network of FPTD in blocks of 30 m, and its seeds, the lowest points of cells of 15 m."""
+    key = np.floor(points.xyz[:, 0] / 15.0) * 1000 + np.floor(points.xyz[:, 1] / 15.0)
+    order = np.lexsort((np.arange(len(points)), points.xyz[:, 2], key))
+    seeds = np.sort(order[np.append(True, np.diff(key[order]) != 0)])
+    border, none = border_positions(*points.extent, 30.0, points.anchored()), np.zeros(len(points), bool)
+    return block_networks(points, seeds, border, Outliers(none, none), size=30.0, overlap=5.0, reach=reach), seeds
 
 
 @pytest.mark.parametrize("sides", [(95.0, 30.0), (59.9, 120.0), (10.0, 61.0)])
@@ -174,14 +176,16 @@ def test_a_block_has_its_points_and_the_seeds_within_reach_of_its_centre():
     """Seeds stand 15 m apart, so that some are 30 m from a centre exactly."""
     column, line = (v.ravel().astype(float) for v in np.mgrid[:91, :91])
     points = canonical_points(PointCloud.from_arrays(np.column_stack([column, line, 0 * line])))
-    net, xy = blocks_of(points, 30.0), points.xyz[:, :2].astype(float)
-    seed = np.isin(np.arange(len(points)), seeds_of(points))
+    (net, seeds), xy = blocks_of(points, 30.0), points.xyz[:, :2].astype(float)
+    seed = np.isin(np.arange(len(points)), seeds)
     for number, centre in enumerate((c, r) for r in (15, 45, 75) for c in (15, 45, 75)):
-        own = (net.sheet == number) & (net.row >= 0)
         off = np.abs(xy - centre)
         near = seed & (np.hypot(*off.T) <= 30)
         assert 0 < near.sum() < seed.sum()
-        assert np.array_equal(net.row[own], np.flatnonzero(near | (off <= 20).all(axis=1)))
+        own = net.row[(net.sheet == number) & net.real]
+        assert np.array_equal(own, np.flatnonzero(near | (off <= 20).all(axis=1)))
+    opened = np.bincount(net.row[net.open], minlength=len(points))
+    assert opened.min() == 1 and opened.max() == 4
 
 
 def test_blocks_begin_at_the_first_point_that_is_judged():
@@ -190,7 +194,7 @@ def test_blocks_begin_at_the_first_point_that_is_judged():
     xyz[0, :2] = 0.0
     far = PointCloud.from_arrays(np.concatenate([xyz, [[-45.0, -45.0, 0.0]]]))
     far = dataclasses.replace(far, candidate=np.arange(len(xyz) + 1) < len(xyz))
-    one, other = (blocks_of(canonical_points(cloud)) for cloud in (PointCloud.from_arrays(xyz), far))
+    one, other = (blocks_of(canonical_points(cloud))[0] for cloud in (PointCloud.from_arrays(xyz), far))
     np.testing.assert_array_equal(np.bincount(one.sheet), np.bincount(other.sheet))
     assert one.sheet[-1] == 8
 
@@ -217,33 +221,18 @@ def sheet_of(net, number):
     return dataclasses.replace(net, sheet=np.zeros(part.sum(), np.int32), **columns)
 
 
-def test_blocks_are_independent_and_equal_a_plain_loop_on_each():
-    points = scene(3)
-    net = blocks_of(points)
-    assert int(net.sheet[-1]) == 8
-    opened = np.bincount(net.row[net.open], minlength=len(points))
-    assert opened.min() == 1 and opened.max() == 4
-    out = grown(net, max_angle=15, max_elevation=0.9, signed=1, follow=True)
-    for number in (0, 4, 8):
-        assert (out.ground[net.sheet == number] != plain(sheet_of(net, number), 15, 0.9)).sum() <= 1
-
-
-@pytest.mark.parametrize("policy", ["batch", "one_per_facet", "spacing", "grids"])
+@pytest.mark.parametrize("policy", ["one_per_facet", "spacing", "grids"])
 def test_blocks_together_equal_each_alone(policy):
     points = scene(18, n=2500)
-    net = blocks_of(points)
-    policies = {"one_per_facet": policy == "one_per_facet"}
-    if policy == "spacing":
-        policies = {"vertices": Vertices(spacing=2.0)}
+    net, vertices = blocks_of(points)[0], Vertices(spacing=2.0 if policy == "spacing" else 0.0)
     if policy == "grids":
         grids = [grid_over(points.xyz, cell, points.offset(cell), name="cell") for cell in (8.0, 4.0, 2.0)]
-        policies = {"vertices": Vertices(grids=grids)}
-    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True), **policies)
-    out = densify(net, growth, 1000, workers=3)
-    assert out.converged
-    numbers = range(int(net.sheet[-1]) + 1)
-    alone = [densify(sheet_of(net, number), growth, 1000, workers=1) for number in numbers]
-    assert len(numbers) > 3 and len({len(one.trace) for one in alone}) > 1
+        vertices = Vertices(grids=grids)
+    rule, mirror = Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True)
+    growth = Growth(rule, mirror, vertices=vertices, one_per_facet=policy == "one_per_facet")
+    out = densify(net, growth, workers=3)
+    alone = [densify(sheet_of(net, number), growth, workers=1) for number in range(int(net.sheet[-1]) + 1)]
+    assert len(alone) > 3 and len({len(one.trace) for one in alone}) > 1
     for name in ("ground", "decision"):
         assert np.array_equal(getattr(out, name), np.concatenate([getattr(one, name) for one in alone]))
     for name in ("height", "slope", "angle", "elevation", "margin"):  # kernels of other sizes round differently
@@ -252,148 +241,100 @@ def test_blocks_together_equal_each_alone(policy):
     assert len(out.tin) == sum(len(one.tin) for one in alone)
 
 
-def test_threads_and_trace_do_not_change_labels():
-    net = network_of(scene(4))
-    rule = {"max_angle": 15, "max_elevation": 0.9, "signed": 1}
-    one = grown(net, **rule, workers=1)
-    two = grown(net, **rule, workers=3, keep_labels=True)
-    assert (one.ground == two.ground).all()
-    counts = [step["ground"].sum() for step in two.trace]
-    assert counts == sorted(counts) and (two.trace[-1]["ground"] == two.ground).all()
-    assert sum(step["accepted"] for step in one.trace) == (one.ground & ~net.seed).sum()
-
-
-def test_heights_are_over_the_final_surface():
-    net = network_of(scene(5))
-    out = grown(net, max_angle=15, max_elevation=0.9, signed=1)
-    lowest = np.flatnonzero(out.ground)
-    _, at = np.unique(net.xyz[lowest, :2], axis=0, return_index=True)
-    vertices = lowest[np.sort(at)]
-    xy = lattice(net.xyz)
-    mesh = Mesh(xy[vertices])
-    others = np.flatnonzero(~out.ground)
-    where = mesh.find(xy[others])
-    f = net.xyz[vertices[mesh.triangles[where]]].astype(float)
+def test_a_result_tells_heights_over_the_final_surface_decisions_and_rounds():
+    points = scene(5)
+    result, net = SIGNED(points.cloud, trace=True), SIGNED.start(points, None, silent)
+    found = {
+        name: of_rows(points, getattr(result, name)) for name in ("ground", "height", "elevation", "angle", "decision")
+    }
+    ground, high = found["ground"], found["elevation"] > 0.9
+    vertices = lowest_of_positions(net.xyz, np.flatnonzero(np.append(ground, net.seed[len(points) :])))
+    mesh, others = Mesh(lattice(net.xyz)[vertices]), np.flatnonzero(~ground)
+    corners = vertices[mesh.triangles[mesh.find(lattice(net.xyz)[others])]]
+    inner = (corners < len(points)).all(axis=1)  # border points have moved
+    f, others = net.xyz[corners[inner]].astype(float), others[inner]
     n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
     height = ((net.xyz[others] - f[:, 0]) * n).sum(1) / n[:, 2]
-    np.testing.assert_allclose(out.height[others], height, atol=2e-3)
-    assert np.abs(out.height[vertices]).max() == 0
+    assert inner.mean() > 0.8 and np.abs(found["height"][vertices[vertices < len(points)]]).max() == 0
+    np.testing.assert_allclose(found["height"][others], height, atol=2e-3)
+
+    seed = net.seed[: len(points)]
+    expected = np.where(ground, Decision.ACCEPTED, np.where(high, Decision.ELEVATION, Decision.ANGLE))
+    np.testing.assert_array_equal(found["decision"], np.where(seed, Decision.SEED, expected))
+    assert np.bincount(expected[~seed])[[Decision.ACCEPTED, Decision.ANGLE, Decision.ELEVATION]].min() > 20
+    assert (found["angle"][~ground & ~high] > 15).all()
+
+    counts = [step["ground"].sum() for step in result.trace]
+    assert (
+        counts == sorted(counts) and (of_rows(points, result.trace[-1]["ground"][: len(points.cloud)]) == ground).all()
+    )
+    assert sum(step["accepted"] for step in result.trace) == (ground & ~seed).sum()
+    cut_off = SIGNED.replace(max_rounds=2)(points.cloud)
+    assert cut_off.status is Status.ROUND_LIMIT and len(cut_off.trace) == 2
 
 
 def test_vertex_spacing_keeps_one_vertex_per_square_and_nearly_the_labels():
-    points = scene(6, n=20000)
-    net = network_of(points)
-    rule = {"max_angle": 15, "max_elevation": 0.9, "noise_floor": 0.1, "signed": 1}
-    dense, thin = grown(net, **rule), grown(net, **rule, spacing=1.5)
-    assert thin.tin.vertex.sum() <= 60 * 60 + 100 < dense.tin.vertex.sum()
+    cloud = scene(6, n=20000).cloud
+    dense, thin = (SIGNED.replace(noise_floor=0.1, vertex_spacing=spacing)(cloud) for spacing in (0.0, 1.5))
+    assert thin.info["vertices"] <= 60 * 60 + 100 < dense.info["vertices"]
     assert (thin.ground != dense.ground).mean() < 0.03
 
 
 def test_late_points_wait_and_must_lie_near_the_surface():
-    points = scene(7)
-    pit = np.flatnonzero((np.abs(points.xyz[:, 0] - 15) < 4) & (np.abs(points.xyz[:, 1] - 70) < 4))[:6]
-    points.xyz[pit[:3], 2] -= 6.0  # suspected, rightly
-    late = np.zeros(len(points), bool)
-    late[pit] = True
-    out = grown(network_of(points, late), max_angle=15, max_elevation=0.9, signed=1)
-    assert not out.ground[pit[:3]].any()
-    assert out.ground[pit[3:]].any()
-    assert out.decision[pit[0]] in (Decision.ANGLE, Decision.ELEVATION)
+    """Three of six are far below the ground, the others are suspected wrongly."""
+    xyz = scene(7).cloud.coordinates()
+    pit = np.flatnonzero((np.abs(xyz[:, 0] - 15) < 4) & (np.abs(xyz[:, 1] - 70) < 4))[:6]
+    xyz[pit[:3], 2] -= 6.0
+
+    class Suspicious(jf.FPTD):
+        def outliers(self, points, workers):
+            late = of_rows(points, np.isin(np.arange(len(xyz)), pit))
+            return Outliers(late, late)
+
+    result = Suspicious(**{f.name: getattr(SIGNED, f.name) for f in dataclasses.fields(SIGNED)})(xyz)
+    assert not result.ground[pit[:3]].any() and result.ground[pit[3:]].any()
+    assert result.decision[pit[0]] in (Decision.ANGLE, Decision.ELEVATION)
 
 
-def test_the_lowest_of_coinciding_points_is_the_vertex():
-    points = scene(8)
-    twin = np.flatnonzero((np.diff(points.xyz[:, 0]) == 0) & (np.diff(points.xyz[:, 1]) == 0))
-    assert len(twin) > 5
-    out = grown(network_of(points), max_angle=15, max_elevation=0.9, signed=1, noise_floor=0.05)
-    both = twin[out.ground[twin] & out.ground[twin + 1]]
-    assert len(both)
-    assert (out.height[both] == 0).all() and (out.height[both + 1] > 0).all()
+def following(thresholds):
+    """PTD whose limits are those that a function of distances and angles of vertices gives."""
 
+    class Following(jf.PTD):
+        def growth(self, network):
+            return dataclasses.replace(super().growth(network), adaptive=Adaptive(thresholds), mirror=None)
 
-def test_decisions_name_the_test_that_a_point_fails():
-    net = network_of(scene(9))
-    out = grown(net, max_angle=15, max_elevation=0.9, signed=1)
-    free, high = net.open & ~net.seed, out.elevation > 0.9
-    assert (out.decision[net.seed] == Decision.SEED).all()
-    expected = np.where(out.ground, Decision.ACCEPTED, np.where(high, Decision.ELEVATION, Decision.ANGLE))
-    np.testing.assert_array_equal(out.decision[free], expected[free])
-    assert np.bincount(expected[free])[[Decision.ACCEPTED, Decision.ANGLE, Decision.ELEVATION]].min() > 20
-    assert (out.angle[free & ~out.ground & ~high] > 15).all()
-
-
-def test_round_limit_is_reported():
-    out = grown(network_of(scene(9)), max_angle=15, max_elevation=0.9, signed=1, max_rounds=2)
-    assert not out.converged and len(out.trace) == 2
-
-
-def steep_scene(seed):
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(0, 90, (1500, 2)).round(1)
-    z = 0.6 * xy[:, 0] + 2 * np.sin(xy[:, 1] / 7) + rng.normal(0, 0.1, 1500)
-    return canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
-
-
-@pytest.mark.parametrize("seed", [2, 3])
-def test_points_over_a_border_that_moved_are_tested_again(seed):
-    net = network_of(steep_scene(seed))
-    out = grown(net, max_angle=12, max_elevation=0.7, signed=1, follow=True)
-    assert (out.ground == plain(net, 12, 0.7)).all()
-
-
-@pytest.mark.parametrize("seed", [12, 13])
-def test_one_point_per_facet_equals_a_plain_loop(seed):
-    net = network_of(scene(seed, n=1200, side=60.0))
-    rule = {"max_angle": 14, "max_distance": 0.8}
-    out = grown(net, **rule, one_per_facet=True, max_rounds=1000)
-    assert out.converged
-    expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_each=True)
-    assert (out.ground != expected).sum() <= 2
-    assert (out.ground != grown(net, **rule).ground).sum() > 10
-
-
-@pytest.mark.parametrize("nearest", [False, True])
-def test_points_whose_mirror_facet_changed_are_tested_again(nearest):
-    net = network_of(scene(14, n=2500, side=70.0))
-    mirror = Mirror(5.0, nearest)
-    out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
-    expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
-    assert (out.ground != expected).sum() <= 3
+    return Following(**TWO_SIDED, refresh_border=False)
 
 
 def test_loosened_thresholds_test_all_points_again():
-    net = network_of(scene(15, n=2500, side=70.0))
+    cloud = scene(15, n=2500, side=70.0).cloud
     steps = iter([Rule(max_angle=6, max_distance=0.3)] * 3 + [Rule(max_angle=12, max_distance=0.8)] * 100)
-    late = grown(net, adaptive=Adaptive(lambda distance, angle: next(steps)))
-    loose = grown(net, max_angle=12, max_distance=0.8)
-    tight = grown(net, max_angle=6, max_distance=0.3)
-    assert tight.ground.sum() + 100 < late.ground.sum() <= loose.ground.sum() + 20
+    late = following(lambda distance, angle: next(steps))(cloud)
+    loose = jf.PTD(**TWO_SIDED, refresh_border=False)
+    tight = loose.replace(max_angle=6.0, max_distance=0.3)(cloud)
+    assert tight.ground.sum() + 100 < late.ground.sum() <= loose(cloud).ground.sum() + 20
     assert [step["tested"] > 500 for step in late.trace[2:5]].count(True)
 
 
 def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to_them():
-    net = network_of(scene(16, n=600, side=60.0))
-    seen = []
+    points, seen = scene(16, n=600, side=60.0), []
 
     def keep(distance, angle):
         seen.append((distance, angle))
         return Rule(max_angle=10, max_distance=0.5)
 
-    out = grown(net, adaptive=Adaptive(keep))
-    assert len(seen) == len(out.trace) + 1
+    filter_ = following(keep)
+    result, net = filter_(points.cloud), filter_.start(points, None, silent)
+    assert len(seen) == len(result.trace) + 1
     distance, angle = seen[-1]
-    real = out.ground & (net.row >= 0)
-    rows = np.flatnonzero(out.ground)
-    _, at = np.unique(net.xyz[rows, :2], axis=0, return_index=True)
-    vertices = rows[np.sort(at)]
-    mesh = Mesh(lattice(net.xyz)[vertices])
-    xyz = net.xyz.astype(float)
-    expected = []
+    ground = np.append(of_rows(points, result.ground), net.seed[len(points) :])
+    vertices = lowest_of_positions(net.xyz, np.flatnonzero(ground))
+    mesh, xyz, expected = Mesh(lattice(net.xyz)[vertices]), net.xyz.astype(float), []
     for facet, beyond in zip(mesh.triangles, mesh.neighbours, strict=True):
         for other in beyond[beyond >= 0]:
             apex = np.setdiff1d(mesh.triangles[other], facet)[0]
             nodes = vertices[np.append(facet, apex)]
-            if real[nodes].all():
+            if net.real[nodes].all():
                 a, b, c, p = xyz[nodes]
                 n = np.cross(b - a, c - a)
                 d = abs((p - a) @ n) / np.linalg.norm(n)
@@ -404,19 +345,16 @@ def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to
     np.testing.assert_allclose(np.sort(angle), np.sort(expected[:, 1]), atol=0.05)
 
 
-@pytest.fixture(scope="module")
-def lawn():
-    """A network of 240 x 240 nodes, one in each square metre, that all pass in the first round."""
-    rng = np.random.default_rng(7)
-    k = 240 * 240
-    xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (k, 2)) / 1024
-    corners = [[-1, -1, 0], [241, -1, 0], [241, 241, 0], [-1, 241, 0]]
-    xyz = np.concatenate([np.column_stack([xy, rng.normal(0, 0.02, k)]), corners]).astype(np.float32)
-    seed = np.arange(k + 4) >= k
-    points = canonical_points(PointCloud.from_arrays(xyz[::1000]))
-    row, late = np.where(seed, -1, 0), np.zeros(k + 4, bool)
-    none = Outliers(np.zeros(len(points), bool), np.zeros(len(points), bool))
-    return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late, none)
+@pytest.fixture
+def lawn(monkeypatch):
+    """A call for 240 x 240 points, one in each square metre, that all pass in the first round, in small steps."""
+    rng, n = np.random.default_rng(7), 240 * 240
+    xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (n, 2)) / 1024
+    cloud = PointCloud.from_arrays(np.column_stack([xy, rng.normal(0, 0.02, n)]))
+    filter_ = jf.PTD(max_angle=89.0, max_distance=99.0, seed_cell=240.0, low_clusters=False)
+    monkeypatch.setattr(tin_module, "CHUNK", 1024)
+    monkeypatch.setattr(tin_module, "_SHARE", 1024)
+    return functools.partial(filter_, cloud)
 
 
 STEPS = {"judge": (ground_module, "judge"), "locate": (walks, "locate"), "insert": (flips, "insert")}
@@ -429,10 +367,7 @@ STEPS = {"judge": (ground_module, "judge"), "locate": (walks, "locate"), "insert
 def test_an_interrupt_ends_densification_before_another_step_begins(step, workers, lawn, monkeypatch):
     """The signal comes in the fifth step. Other threads wait until its handler has run, and then until what raised it has
     cancelled the steps that wait: each may have one more at most, which it had begun to fetch."""
-    chunk = 1024
-    monkeypatch.setattr(tin_module, "CHUNK", chunk)
-    monkeypatch.setattr(tin_module, "_SHARE", chunk)
-    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)  # compiles
+    lawn(workers=workers)  # compiles
     place, name = STEPS[step]
     work, begun, later = getattr(place, name), itertools.count(1), []
     handled, cancelled = threading.Event(), threading.Event()
@@ -460,7 +395,7 @@ def test_an_interrupt_ends_densification_before_another_step_begins(step, worker
     before = signal.signal(signal.SIGUSR1, handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
+            lawn(workers=workers)
     finally:
         signal.signal(signal.SIGUSR1, before)
         cancelled.set()
@@ -470,8 +405,6 @@ def test_an_interrupt_ends_densification_before_another_step_begins(step, worker
 @pytest.mark.parametrize("workers", [1, 3])
 def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
     """So an interrupt need not wait for long."""
-    monkeypatch.setattr(tin_module, "CHUNK", 1024)
-    monkeypatch.setattr(tin_module, "_SHARE", 1024)
     sizes = {name: [] for name in STEPS}
     measured = {
         "judge": lambda *given: given[-1].shape[-1],
@@ -479,18 +412,12 @@ def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
         "insert": lambda *given: len(given[7]) - given[12],
     }
 
-    def watched(name):
-        place, attribute = STEPS[name]
-        work = getattr(place, attribute)
+    def watched(name, work, *given, **named):
+        sizes[name].append(measured[name](*given))
+        return work(*given, **named)
 
-        def call(*given, **named):
-            sizes[name].append(measured[name](*given))
-            return work(*given, **named)
-
-        monkeypatch.setattr(place, attribute, call)
-
-    for name in STEPS:
-        watched(name)
-    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
+    for name, (place, attribute) in STEPS.items():
+        monkeypatch.setattr(place, attribute, functools.partial(watched, name, getattr(place, attribute)))
+    lawn(workers=workers)
     for name, bound in (("judge", ground_module._BATCH), ("locate", 1024), ("insert", 1024)):
         assert 0 < max(sizes[name]) <= bound and sum(sizes[name]) >= 50_000, name

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
+from test_pmf import hamlet
 
 import jaxfilter as jf
 from jaxfilter import scenes
-from jaxfilter.core import compilation
 from jaxfilter.engines.grid import sampling
 
 SMRF = jf.SMRF(window=8.0)
@@ -60,27 +60,6 @@ def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
     assert len({one.tobytes() for one in single}) > len(single) / 2  # the sets do differ
 
 
-CSF = jf.CSF(resolution=1.5)
-BARE = [
-    jf.SMRF(window=8.0, cell=1.5),
-    PMF.replace(low_clusters=False),
-    MSF.replace(low_clusters=False),
-    CSF.replace(low_clusters=False),
-]
-
-
-@pytest.mark.parametrize("filter_", BARE, ids=["smrf", "pmf", "msf", "csf"])
-def test_a_shift_by_whole_cells_gives_the_same_labels(filter_):
-    """Grids count from zero of the coordinates, and the search for low clusters has a grid of its own."""
-    scene = scenes.make("town", size=(60, 50), density=1.0, seed=4)
-    xyz, side = scene.cloud.coordinates().round(2), filter_.lattice()
-    expected = filter_(xyz).ground
-    for shift in ((side, 0.0, 0.0), (-7 * side, 3 * side, -40.0), (200_000 * side, -3_000_000 * side, 900.0)):
-        np.testing.assert_array_equal(filter_(xyz + shift).ground, expected)
-    other = filter_(xyz + (side / 3, side / 2, 0.0)).ground
-    assert 0 < (other != expected).mean() < 0.03
-
-
 @pytest.mark.parametrize("filter_", [pytest.param(PMF, marks=pytest.mark.slow), MSF], ids=["pmf", "msf"])
 def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
     points, _ = small
@@ -93,33 +72,6 @@ def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
     many = jax.jit(jax.vmap(passed, in_axes=(None, 0, 0)))(filter_, stacked, xyz)
     for one, own, ground in zip(clouds, cells, many, strict=True):
         np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("filter_, programs", [(SMRF, 6), (PMF, 6)], ids=["smrf", "pmf"])
-def test_clouds_of_unlike_size_share_few_programs(filter_, programs):
-    """12 clouds of 2,000 to 40,000 points over grids of 90 to 360 cells a side: two shapes, three programs each."""
-    scene = scenes.make("town", size=(362, 358), density=0.32, seed=4)
-    xyz, rng = scene.cloud.coordinates(), np.random.default_rng(0)
-    x, y = (xyz[:, :2] - xyz[:, :2].min(axis=0)).T
-    crops = [xyz[(x < w) & (y < h)] for w, h in (*rng.uniform(90, 360, (10, 2)), (90, 95), (400, 400))]
-    clouds = [jf.PointCloud.from_arrays(crop) for crop in crops]
-    assert len({cells.extent.tobytes() for cells in map(filter_.cells, map(filter_.points_of, clouds))}) == 12
-    assert min(map(len, clouds)) < 5000 and max(map(len, clouds)) > 30_000
-    jax.clear_caches()
-    compilation.watch_compilations()
-    before = compilation.compilations()[0]
-    for cloud in clouds:
-        filter_(cloud)
-    assert compilation.compilations()[0] - before <= programs
-
-
-@pytest.mark.slow
-def test_tighter_padding_makes_the_same_terrain(small):
-    """The number of levels of the membrane does not depend on the padding, nor does what lies outside the extent count."""
-    cells = SMRF.cells(small[0])
-    tight = dataclasses.replace(cells, **{name: getattr(cells, name)[:80, :96] for name in ("lowest", "seen", "valid")})
-    np.testing.assert_allclose(SMRF.model(tight).z, SMRF.model(cells).z[:80, :96], atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.grad, lambda f: lambda x: jax.vmap(f)(x[None])])
@@ -137,6 +89,21 @@ def test_cells_whose_elevation_is_no_number_count_as_empty(small, filter_):
     found = filter_.model(dataclasses.replace(cells, lowest=jnp.where(gone, odd, cells.lowest)))
     jax.tree.map(np.testing.assert_array_equal, found, filter_.model(without))
     assert not np.array_equal(found.z, filter_.model(cells).z)
+
+
+@pytest.mark.parametrize(
+    "filter_",
+    [jf.PMF(), jf.PMF(reading="points", compare="points"), jf.MSF(), jf.CSF()],
+    ids=["pmf", "pmf-points", "msf", "csf"],
+)
+def test_a_cluster_of_low_points_is_barred_and_changes_no_other_label(filter_):
+    xyz, _ = hamlet()
+    low = np.concatenate([xyz, [[24.3, 24.4, -30.0], [24.5, 24.2, -30.1], [25.1, 24.9, -30.2]]])
+    result, plain = filter_(low), filter_.replace(low_clusters=False)(low)
+    assert result.barred[-3:].all() and (result.decision[-3:] == jf.Decision.LOW).all()
+    assert plain.ground[-3:].all() and not plain.barred.any()
+    assert plain.ground[:-3].sum() < result.ground.sum()  # some are lost around them
+    np.testing.assert_array_equal(result.ground, [*filter_(xyz).ground, False, False, False])
 
 
 @pytest.mark.parametrize("field", ["seen", "valid"])
@@ -198,10 +165,11 @@ def test_gradients_of_soft_labels_are_those_of_finite_differences(small, filter_
 def test_soft_labels_have_no_jumps_in_the_slope(small, filter_):
     """Differences lie between the gradients at both ends, across slopes at which cells become objects."""
     points, truth = small
-    prepared = filter_.prepare(filter_.cells(points).checked())
+    cells = filter_.cells(points)
 
     def soft_error(slope):
-        return ((dataclasses.replace(filter_, slope=slope)._soft(prepared, points.xyz, 0.1) - truth) ** 2).mean()
+        one = dataclasses.replace(filter_, slope=slope)
+        return ((jf.soft_labels(one, cells, points.xyz, width=0.1) - truth) ** 2).mean()
 
     slopes = np.linspace(0.1, 0.2, 41, dtype=np.float32)
     error, gradient = map(np.asarray, jax.lax.map(jax.value_and_grad(soft_error), slopes))
@@ -216,17 +184,6 @@ def test_soft_labels_of_pmf_become_its_labels_where_they_are_sharp(small):
     margin = np.asarray(PMF.test(PMF.model(cells), xyz).margin)
     clear = np.abs(margin) > 1e-3
     np.testing.assert_array_equal(sharp[clear] > 0.5, margin[clear] < 0)
-
-
-def test_sweeps_of_two_and_three_sets_compile_nothing_on_another_cloud_of_the_bucket(small):
-    xyz = small[0].xyz.astype(float)
-    clouds = [jf.PointCloud.from_arrays(one) for one in (xyz, xyz[:2300] * [0.9, 0.95, 1.0])]
-    compilation.watch_compilations()
-    for slopes in ([0.1, 0.2], [0.1, 0.15, 0.2]):
-        jf.sweep(SMRF, clouds[0], {"slope": slopes}, votes=True)
-        before = compilation.compilations()[0]
-        jf.sweep(SMRF, clouds[1], {"slope": slopes}, votes=True)
-        assert compilation.compilations()[0] == before, slopes
 
 
 @pytest.mark.parametrize("extent", [(9, 13), (1, 13), (9, 1)])

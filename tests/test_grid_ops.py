@@ -22,8 +22,7 @@ def test_cell_index_counts_from_the_corner_and_clips_to_the_extent():
     np.testing.assert_array_equal(index, [0, 0, 1, 128 + 2, 128, 2])
 
 
-def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index():
-    rng = np.random.default_rng(0)
+def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index(rng):
     index = rng.integers(0, 40, 500).astype(np.int32)
     index[index == 7] = 8
     z = rng.integers(0, 5, 500).astype(np.float32)
@@ -38,36 +37,16 @@ def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index():
     assert np.isinf(lowest[7])
 
 
-def test_a_cell_with_padding_only_is_empty():
-    lowest, first = block_minima(np.zeros(3, np.int32), np.full(3, np.inf, np.float32), 2)
-    assert np.isinf(lowest).all() and (np.asarray(first) == 3).all()
-
-
-def test_block_counts_equal_bincount():
-    rng = np.random.default_rng(1)
+def test_block_counts_equal_bincount(rng):
     index, counted = rng.integers(0, 30, 400).astype(np.int32), rng.random(400) < 0.7
     np.testing.assert_array_equal(block_counts(index, counted, 30), np.bincount(index[counted], minlength=30))
 
 
-def test_inside_marks_the_true_extent():
-    mask = np.asarray(inside((6, 5), np.int32([4, 2])))
-    assert mask.sum() == 8 and mask[:4, :2].all()
-
-
-@pytest.mark.parametrize("n, padded", [(1, 256), (257, 512), (1000, 1024), (1025, 1152), (2236, 2304), (5000, 5120)])
-def test_padded_length(n, padded):
-    assert padded_length(n) == padded
-    assert padded_shape((n, 1)) == (padded, max(256, padded if padded <= 512 else 0))
-
-
-def test_small_grids_have_two_shapes():
+def test_small_grids_have_two_shapes_and_padding_wastes_little_on_large_ones():
     assert {padded_shape((n, m)) for n in range(1, 513, 7) for m in range(1, 513, 7)} == {(256, 256), (512, 512)}
     assert padded_shape((100, 50), least=(1, 300)) == (512, 512)
-
-
-def test_padding_wastes_little_on_large_grids():
-    lengths = np.arange(1024, 20000, 7)
-    assert max(padded_length(int(n)) / n for n in lengths) <= 1.126
+    assert [padded_length(n) for n in (1000, 1025, 2236, 5000)] == [1024, 1152, 2304, 5120]
+    assert max(padded_length(n) / n for n in range(1024, 20000, 7)) <= 1.126
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 7), (9, 4)])
@@ -224,11 +203,8 @@ def test_no_points_are_no_points():
 def test_points_and_facets_with_nan_pass_no_test():
     points, corners = np.stack([POINTS[0]] * 3, axis=1), np.stack([CORNERS] * 3, axis=2)
     points[2, 1], corners[1, 0, 2] = np.nan, np.nan
-    assert facets.judge(facets.Rule(max_distance=9.0), np.zeros(3, bool), points, corners)["accepted"].tolist() == [
-        1,
-        0,
-        0,
-    ]
+    judged = facets.judge(facets.Rule(max_distance=9.0), np.zeros(3, bool), points, corners)
+    assert judged["accepted"].tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize("slope, radius", [(0.0, np.inf), (0.5, np.inf), (0.5, 1.0)])

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import json
-
 import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import done, facts, run
 from las_files import make_copc, make_las
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.core.cloud import QUANTUM
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def expected_heights(xyz, ground):
@@ -53,21 +46,22 @@ def test_heights_are_those_of_scipy():
     assert np.quantile(difference, 0.99) < 0.002 and np.median(difference) < 1e-6
 
 
-def test_units_of_z_and_points_without_coordinates():
-    xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [np.nan, 1, 1], [40, 40, 2.5]])
-    cloud = jf.PointCloud.from_arrays(xyz, units="ft", drop_invalid=True)
-    ground = np.array(
-        [True, True, True, False, True, False]
-    )  # what has no coordinates is no ground, whatever its label
-    heights = jf.height_above_ground(cloud, ground)
-    np.testing.assert_allclose(heights, [0, 0, 0, 15, 0, -7.5], atol=2 * QUANTUM / 0.3048)
+FEW = [[0, 0, 1], [5, 5, 5], [9, 9, 8]]
+SQUARE = [[0, 0, 0], [32, 0, 8], [0, 32, 0], [32, 32, 8], [16, 0, 9], [32, 16, 9], [8, 32, 9], [8, -4, 9]]
+FEET = [[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [np.nan, 1, 1], [40, 40, 2.5]]
 
 
-def test_on_the_edge_of_the_ground_heights_are_linear():
-    """On a side of a square of ground points, which is the edge of their extent; beyond it the nearest of them counts."""
-    xyz = np.array([[0, 0, 0], [32, 0, 8], [0, 32, 0], [32, 32, 8], [16, 0, 9], [32, 16, 9], [8, 32, 9], [8, -4, 9]])
-    heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz.astype(float)), np.arange(8) < 4)
-    np.testing.assert_allclose(heights, [0, 0, 0, 0, 5, 1, 7, 9], atol=2 * QUANTUM)
+@pytest.mark.parametrize("xyz, ground, units, expected", [
+    (FEET, [0, 1, 2, 4], "ft", [0, 0, 0, 15, 0, -7.5]),  # what has no coordinates is no ground, whatever its label
+    (SQUARE, [0, 1, 2, 3], "m", [0, 0, 0, 0, 5, 1, 7, 9]),  # on its sides they are linear, beyond the nearest point counts
+    (FEW, [0], "m", [0, 4, 7]), (FEW, [0, 1], "m", [0, 0, 3]),  # too few for a triangle: of the nearest
+])  # fmt: skip
+def test_heights_of_few_points(xyz, ground, units, expected):
+    cloud = jf.PointCloud.from_arrays(np.array(xyz, float), units=units, drop_invalid=True)
+    heights = jf.height_above_ground(cloud, np.isin(np.arange(len(xyz)), ground))
+    np.testing.assert_allclose(heights, expected, atol=2 * QUANTUM / cloud.units.z)
+    with pytest.raises(jf.InputError, match="no point is ground"):
+        jf.height_above_ground(cloud, np.zeros(len(xyz), bool))
 
 
 def test_stray_points_far_off():
@@ -82,28 +76,17 @@ def test_stray_points_far_off():
         jf.height_above_ground(jf.PointCloud.from_arrays(xyz + np.where(ground, 3e6, 0)[:, None] * [1, 0, 0]), ground)
 
 
-@pytest.mark.parametrize("ground, expected", [([0], [0, 4, 7]), ([0, 1], [0, 0, 3])])
-def test_too_few_ground_points_for_a_triangle(ground, expected):
-    """The height at the nearest of them."""
-    cloud = jf.PointCloud.from_arrays(np.array([[0.0, 0, 1], [5, 5, 5], [9, 9, 8]]))
-    np.testing.assert_allclose(jf.height_above_ground(cloud, np.isin(np.arange(3), ground)), expected)
-    with pytest.raises(jf.InputError, match="no point is ground"):
-        jf.height_above_ground(cloud, np.zeros(3, bool))
-
-
 @pytest.mark.parametrize("point_format, suffix", [(1, ".las"), (3, ".laz"), (6, ".laz"), (7, ".las")])
 def test_the_extra_dimension_and_nothing_else(tmp_path, point_format, suffix):
     source = tmp_path / f"in{suffix}"
     a_file(source, point_format, extra=True)
-    result = run("height", source, tmp_path / f"out{suffix}", "--json")
-    assert result.exit_code == 0, result.output
+    said = facts("height", source, tmp_path / f"out{suffix}")
     before, after = laspy.read(source), laspy.read(tmp_path / f"out{suffix}")
     for name in before.point_format.dimension_names:
         np.testing.assert_array_equal(after[name], before[name])
     expected = expected_heights(np.asarray(before.xyz), np.asarray(before.classification) == 2)
     np.testing.assert_allclose(after["HeightAboveGround"], expected, atol=0.02)
-    facts = json.loads(result.stdout)
-    assert facts["highest"] == pytest.approx(after["HeightAboveGround"].max(), abs=1e-3)
+    assert said["highest"] == pytest.approx(after["HeightAboveGround"].max(), abs=1e-3)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
@@ -111,7 +94,7 @@ def test_in_place_of_z(tmp_path, suffix):
     """Bytes of the file other than Z and its extent are as they were."""
     source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
     a_file(source, 6, extra=True)
-    assert run("height", source, target, "--replace-z").exit_code == 0
+    done("height", source, target, "--replace-z")
     before, after = laspy.read(source), laspy.read(target)
     expected = expected_heights(np.asarray(before.xyz), np.asarray(before.classification) == 2)
     np.testing.assert_allclose(after.z, expected, atol=0.02)
@@ -132,8 +115,8 @@ def test_in_place_of_z(tmp_path, suffix):
 def test_found_on_the_way(tmp_path, scene):
     """With --filter, the classes are those that jaxfilter ground writes, and the heights those above them."""
     jf.write(tmp_path / "in.las", scene.cloud, np.zeros(len(scene), bool), reset="none")
-    assert run("height", tmp_path / "in.las", tmp_path / "out.las", "--filter", "smrf").exit_code == 0
-    assert run("ground", "smrf", tmp_path / "in.las", tmp_path / "ground.las").exit_code == 0
+    done("height", tmp_path / "in.las", tmp_path / "out.las", "--filter", "smrf")
+    done("ground", "smrf", tmp_path / "in.las", tmp_path / "ground.las")
     out, ground = laspy.read(tmp_path / "out.las"), laspy.read(tmp_path / "ground.las")
     np.testing.assert_array_equal(out.classification, ground.classification)
     heights = jf.height_above_ground(jf.read(tmp_path / "ground.las"))
@@ -146,7 +129,7 @@ def test_a_dimension_that_is_there_is_renewed(tmp_path, kind):
     las = a_file(tmp_path / "first.las", 6)
     las.add_extra_dim(laspy.ExtraBytesParams("HeightAboveGround", kind))
     las.write(tmp_path / "in.las")
-    assert run("height", tmp_path / "in.las", tmp_path / "out.las").exit_code == 0
+    done("height", tmp_path / "in.las", tmp_path / "out.las")
     out = laspy.read(tmp_path / "out.las")
     assert list(out.point_format.extra_dimension_names) == ["HeightAboveGround"]
     assert out["HeightAboveGround"].dtype == kind and out["HeightAboveGround"].max() > 1
@@ -166,7 +149,7 @@ def test_copc_becomes_laz(tmp_path):
 def test_text_and_arrays_become_las(tmp_path):
     xyz = np.random.default_rng(0).uniform(0, 50, (200, 3))
     np.savetxt(tmp_path / "in.txt", np.column_stack([xyz, np.arange(200) % 2]), fmt="%.3f")
-    assert run("height", tmp_path / "in.txt", tmp_path / "out.laz", "--replace-z").exit_code == 0
+    done("height", tmp_path / "in.txt", tmp_path / "out.laz", "--replace-z")
     out = laspy.read(tmp_path / "out.laz")
     np.testing.assert_allclose(out.z, expected_heights(xyz.round(3), np.arange(200) % 2 == 0), atol=0.05)
     assert out.header.mins[2] == out.z.min()

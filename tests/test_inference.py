@@ -1,13 +1,10 @@
 """Labels of a few points are carried to others that sets of parameters call alike."""
 
-import dataclasses
-
 import numpy as np
-import pytest
 from scipy.special import expit
 
 from jaxfilter.sweeps import inference
-from jaxfilter.sweeps.inference import Sample, components, expected_confusion, ground_probability
+from jaxfilter.sweeps.inference import components, expected_confusion, ground_probability
 
 
 def kinds(rng, count=3000):
@@ -15,17 +12,6 @@ def kinds(rng, count=3000):
     kind = rng.integers(4, size=count)
     share = rng.random((40, 4))
     return rng.random((40, count)) < share[:, kind], kind
-
-
-def test_components_are_uncorrelated_and_do_not_depend_on_the_order_of_points(rng):
-    calls, _ = kinds(rng)
-    found = components(calls)
-    assert found.shape == (3000, inference.COMPONENTS)
-    assert np.allclose(np.cov(found.T, bias=True), np.eye(inference.COMPONENTS), atol=1e-4)
-    order = rng.permutation(3000)
-    assert np.allclose(components(calls[:, order]), found[order], atol=1e-5)
-    assert components(np.repeat(calls[:1], 5, axis=0)).shape == (3000, 1)  # five equal sets say one thing
-    assert components(np.zeros((4, 0), bool)).shape == (0, 0)
 
 
 def test_without_labels_the_given_filter_is_believed(rng):
@@ -54,29 +40,3 @@ def test_expected_counts_are_those_of_the_classes_where_these_are_certain(rng):
             [(~truth & one).sum(), (~truth & ~one).sum()],
         ]
     assert np.array_equal(found[1], found[0][:, ::-1])
-
-
-def test_a_sample_is_the_same_in_any_order_and_is_scaled_to_the_cloud(rng, monkeypatch):
-    monkeypatch.setattr(inference, "UNLABELLED", 300)
-    xyz = (rng.random((2000, 3)) * [60, 60, 5]).astype(np.float32)
-    known = rng.random(2000) < 0.05
-    truth, fold = rng.random(known.sum()) < 0.5, rng.integers(5, size=known.sum())
-    one = Sample.of(xyz, known, truth, fold, 1.3)
-    assert known[one.index[: known.sum()]].all() and len(one.index) == known.sum() + 300
-    assert one.others == (~known).sum()
-    order = rng.permutation(2000)
-    place = np.cumsum(known) - 1  # of a labelled point among the labels
-    label = place[order[known[order]]]
-    two = Sample.of(xyz[order], known[order], truth[label], fold[label], 1.3)
-    assert np.array_equal(order[two.index], one.index)
-    assert np.array_equal(two.truth, one.truth) and np.array_equal(two.fold, one.fold)
-
-    calls = rng.random((6, 2000)) < 0.5
-    calls[:, xyz[:, 2] > 3] = True
-    bits = np.packbits(calls[:, one.index], axis=1)
-    counts = one.expected(bits, calls[0, one.index], [-1, 2])
-    assert counts.sum(axis=(2, 3)) == pytest.approx(one.others)
-    flipped = dataclasses.replace(one, truth=one.truth ^ (one.fold == 2)).expected(bits, calls[0, one.index], [-1, 2])
-    assert np.array_equal(flipped[1], counts[1]) and not np.array_equal(flipped[0], counts[0])
-    rest = one.index[known.sum() :]
-    assert counts[0, :, :, 0].sum(axis=1) == pytest.approx(calls[:, rest].sum(axis=1) * one.others / 300)

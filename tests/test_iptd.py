@@ -6,7 +6,6 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 import jaxfilter as jf
-from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.local_planes import over_local_planes
 
@@ -32,12 +31,6 @@ def test_planes_agree_with_numpy(k, rng):
             residual = (p[:, 2] - a * p[:, 0] - b * p[:, 1] - c) / np.sqrt(1 + a * a + b * b)
             base = residual.min() if translation == "lowest" else 0.0
             assert got[i] == pytest.approx(residual[around[i] == i][0] - base, abs=2e-3)
-
-
-def test_planes_of_few_seeds():
-    assert (over_local_planes(np.float32([[0, 0, 1], [5, 5, 3]]), 2.0, 300, "lowest") == [0, 2]).all()
-    assert over_local_planes(np.float32([[7, 7, 1]]), 2.0, 300) == [0]
-    assert len(over_local_planes(np.zeros((0, 3), np.float32), 2.0, 300)) == 0
 
 
 @pytest.mark.parametrize(("cell", "k"), [(0.5, 3), (1.0, 10), (8.0, 40)])
@@ -106,18 +99,6 @@ def test_a_downward_growth_that_is_cut_off_is_no_convergence():
     rounds = whole.info["downward_rounds"]
     assert whole.status == jf.Status.CONVERGED and rounds > 1 + whole.info["rounds"]
     assert filter_.replace(max_rounds=rounds - 1)(xyz).status == jf.Status.ROUND_LIMIT
-
-
-def test_sets_of_a_sweep_that_grow_downward_differently_are_those_of_calls_alone():
-    changes = ({}, {"noise_floor": 0.3}, {"max_angle": 1.0})
-    sets = [jf.IPTD(max_distance=0.05, **change) for change in changes]
-    points = canonical_points(jf.PointCloud.from_arrays(surface(3000, 60)))
-    found = dict(ground_each(sets[0], points, sets, key=None, workers=2, memory=1e9))
-    alone = [
-        one.classify(points, key=None, workers=1, progress=lambda share, step: None, trace=False).ground for one in sets
-    ]
-    assert [(found[i] == ground).all() for i, ground in enumerate(alone)] == [True] * 3
-    assert all((alone[0] != ground).any() for ground in alone[1:])
 
 
 @pytest.mark.parametrize("spacing", [5e-4, 2e-3, 0.007])

@@ -22,23 +22,8 @@ TABLE = {
     (row["sample"], row["method"]): row for row in read_csv(Path(spaces.__file__).parent / "results" / "fixed.csv")
 }
 CLASSES = dict(zip(SAMPLES, (f"D{c}" for c in "211233131244122"), strict=True))  # Li et al., Table I
-PTD_PRINTED = (
-    18.32,
-    6.26,
-    2.89,
-    8.92,
-    14.25,
-    31.37,
-    2.06,
-    29.6,
-    2.32,
-    8.65,
-    11.37,
-    16.79,
-    9.55,
-    4.25,
-    1.85,
-)  # Table IV
+PTD_PRINTED = (18.32, 6.26, 2.89, 8.92, 14.25, 31.37, 2.06, 29.6, 2.32, 8.65, 11.37, 16.79, 9.55, 4.25, 1.85)
+"""Total errors in Table IV."""
 
 
 @pytest.fixture(scope="module")

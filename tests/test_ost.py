@@ -16,7 +16,7 @@ from jaxfilter.engines.grid import shapes
 from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import rings
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
+from jaxfilter.engines.tin.growth import Beyond, Growth, Outliers, Vertices
 from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.methods import ost
@@ -25,8 +25,6 @@ from jaxfilter.steps import pruning
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
-from jaxfilter.steps.outliers import lowest_few
-from jaxfilter.steps.overhangs import overhangs
 from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
@@ -64,21 +62,25 @@ def nodes(side, z):
 
 
 @pytest.fixture
-def pool():
-    with ThreadPoolExecutor(2) as threads:
-        yield threads
+def tin_of():
+    """A function that makes the network of all points f32[n, 3]."""
+    with ThreadPoolExecutor(2) as pool:
+        yield lambda xyz: Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
 
 
-@pytest.mark.parametrize("density, extent, window", [(1.0, 60, 12.0), (8.0, 20, 6.0), (0.05, 300, 25.0)])
-def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, extent, window):
+@pytest.mark.parametrize(
+    "density, extent, window",
+    [(1.0, (60, 60), 12.0), (8.0, (20, 20), 6.0), (0.05, (300, 300), 25.0), (0.4, (8, 200), 25.0)],
+)
+def test_low_points_are_those_with_few_others_as_low_around_them_wherever_the_grid_lies(rng, density, extent, window):
     """Every count by hand, over rough land with clusters below; ties of distance and of depth are whole numbers."""
-    n = int(density * extent**2)
-    xyz = np.column_stack([rng.integers(0, 4 * extent, (n, 2)) / 4, rng.integers(0, 12, n) / 4])
+    n = int(density * np.prod(extent))
+    xyz = np.column_stack([rng.integers(0, 4 * np.array(extent), (n, 2)) / 4, rng.integers(0, 12, n) / 4])
     for size in (1, 5, 6, 7):
-        near = np.argsort(np.hypot(*(xyz[:, :2] - rng.uniform(0, extent, 2)).T))[:size]
+        near = np.argsort(np.hypot(*(xyz[:, :2] - rng.uniform(0, extent)).T))[:size]
         xyz[near, 2] -= 20
-    xyz = np.concatenate([xyz, [[9 * extent + i / 4, 0, i / 2] for i in range(9)]])  # few in all: below or above
-    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    xyz = np.concatenate([xyz, [[9 * max(extent) + i / 4, 0, i / 2] for i in range(9)]])  # few in all: below or above
+    points = canonical_points(jf.PointCloud.from_arrays(xyz, anchor=(0.37, 512.71)))
     p = points.xyz.astype(np.float64)
     radius = max(window, 8 * points.spacing())
     around = ((p[:, None, :2] - p[:, :2]) ** 2).sum(axis=2) <= radius**2
@@ -88,18 +90,6 @@ def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, e
     alone = jf.OST(window=window, low_points=6, sensor="drone lidar")  # without larger clusters
     np.testing.assert_array_equal(alone.low(points), expected)
     assert not jf.OST(window=window, low_points=0).low(points).any()
-
-
-def test_low_points_of_a_strip_narrower_than_the_window_are_counted_once(rng):
-    xyz = np.column_stack([rng.uniform(0, 8, 600), rng.uniform(0, 200, 600), rng.normal(0, 0.2, 600)])
-    xyz[:40, 2] -= rng.uniform(3, 9, 40)
-    points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    p = points.xyz.astype(np.float64)
-    around = ((p[:, None, :2] - p[:, :2]) ** 2).sum(axis=2) <= 25.0**2
-    below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
-    expected = (below <= 30) & (around.sum(axis=1) - 1 - below > 30)
-    assert expected.sum() > 30
-    np.testing.assert_array_equal(lowest_few(points, 25.0, 2.0, 30), expected)
 
 
 def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
@@ -139,17 +129,6 @@ def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, pla
     assert not jf.OST(sensor="drone lidar").low(points).any()
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, 0.71), (512.25, -331.5)])
-def test_low_points_do_not_depend_on_the_place_of_the_grid(shift):
-    cloud = jf.scenes.make("town", size=120.0, density=1.0, seed=2).cloud
-    xyz = cloud.coordinates()
-    low = []
-    for anchor in ((0.0, 0.0), shift):
-        points = canonical_points(jf.PointCloud.from_arrays(xyz, anchor=anchor))
-        low.append(points.spread(jf.OST(low_points=60).low(points), False))
-    np.testing.assert_array_equal(*low)
-
-
 def test_drawn_elevations_equal_scipy(rng):
     xy, z = rng.uniform(-3, 43, (150, 2)), rng.normal(size=150)
     triangles = Delaunay(xy).simplices.astype(np.int32)
@@ -167,33 +146,6 @@ def test_drawn_elevations_equal_scipy(rng):
         drawn = ~before & np.isfinite(expected)
         assert (seen == (drawn | before)).all() and (values[~drawn] == -99.0).all()
         np.testing.assert_allclose(values[drawn], expected[drawn], atol=1e-4)
-
-
-def test_drawn_elevations_do_not_depend_on_the_order_of_triangles(rng):
-    """Centres of cells on edges, and long triangles beside short ones, which have other elevations."""
-    xy = np.unique(rng.integers(0, 30, (80, 2)), axis=0).astype(np.float64)
-    z, triangles = rng.normal(size=(2, len(xy))).astype(np.float32), Delaunay(xy).simplices.astype(np.int32)
-    drawn = []
-    for _ in range(4):
-        values, seen = np.zeros((30, 30), np.float32), np.zeros((30, 30), bool)
-        turned = [np.roll(corners, rng.integers(3)) for corners in rng.permutation(triangles)]
-        shapes.draw(*xy.T.copy(), np.array(turned), z[0], z[0] - np.float32(5), 4.0, values, seen)
-        drawn.append((values.tobytes(), seen.tobytes()))
-    assert len(set(drawn)) == 1 and seen.sum() > 500
-
-
-def test_segments_of_levels_equal_those_of_scipy(rng):
-    """With whole metres and steps below one, segments are the connected parts of each level."""
-    z = rng.integers(0, 3, (25, 33)).astype(np.float32)
-    found, parts = shapes.segments(z, np.float32(0.5), 1)
-    for level in range(3):
-        labels, count = ndimage.label(z == level)
-        for k in range(1, count + 1):
-            part = labels == k
-            assert (found.ravel()[: np.flatnonzero(part.ravel())[0]] < found[part][0]).all() and np.ptp(
-                found[part]
-            ) == 0
-    assert found.max() == parts == sum(ndimage.label(z == level)[1] for level in range(3))
 
 
 def test_segments_of_slopes_equal_a_flood(rng):
@@ -237,13 +189,13 @@ def test_the_census_counts_as_numpy_does(rng):
         np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
 
-def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scipys_triangulation(rng, pool):
+def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scipys_triangulation(rng, tin_of):
     turn = np.linspace(0, 2 * np.pi, 80, endpoint=False)
     hub = [100.0, 30.0] + np.concatenate([[[0.0, 0.0]], 20 * np.column_stack([np.cos(turn), np.sin(turn)])])
     xy = np.concatenate([rng.uniform(0, 60, (300, 2)), hub])  # scattered, and one point with 80 neighbours
     xyz = points_of(np.column_stack([xy, rng.normal(size=len(xy))]).round(3))
     count, xy = len(xyz), xyz[:, :2].astype(np.float64)
-    tin = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool)
+    tin = tin_of(xyz)
     e, rough = np.zeros(count, np.float32), np.zeros(count, np.float32)
     tables = tin.triangles, tin.neighbours, tin.where
     rings.residuals(xyz, *tables, np.arange(count), e)
@@ -284,22 +236,14 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
 
 
 @pytest.mark.parametrize("cell", [0.5, 2.0])
-def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(monkeypatch, cell):
+def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(cell):
     """Single cells stand up from level land, each higher than the one before: the run of their drops is one cell."""
-
-    class Seen(Exception):
-        """Ends the search when the first landscape is asked for."""
-
-    def of(z, cells, objects, sigma):
-        raise Seen(objects)
-
-    monkeypatch.setattr(Landscape, "of", of)
     cells = cells_of(nodes(40, 0) * np.float32([cell, cell, 0]), cell)
     slope = np.zeros(cells.lowest.shape, np.float32)
     slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
-    with pytest.raises(Seen) as seen:
-        jf.OST(cell=cell, window=4 * cell).drops(slope * cell, np.ones((40, 40), bool), cells)
-    np.testing.assert_array_equal(seen.value.args[0], slope > 0.15)
+    first = jf.OST(cell=cell, window=4 * cell, landscape=5.0).drops(slope * cell, np.ones((40, 40), bool), cells)[2]
+    expected = Landscape.of(slope * cell, cells, slope > 0.15, 5.0)
+    np.testing.assert_array_equal(first.in_cells(), expected.in_cells())
 
 
 def test_faces_are_counted_as_scipy_counts_them(rng):
@@ -337,6 +281,12 @@ for _number, (_one, _other) in enumerate((((1, 0), (1, 2)), ((0, 1), (2, 1)), ((
 def whole_of(z, roofs=ROOFS, inside=None, largest=1e9, seen=None):
     inside, seen = (np.ones(z.shape, bool) if given is None else given for given in (inside, seen))
     return Segments(z, inside, seen, 1.0, roofs, largest)
+
+
+def objects(z, marked=None, slope=0.0, **given):
+    """Cells that go as a whole, where these are marked, over a landscape of this slope."""
+    marked = np.zeros(z.shape, bool) if marked is None else marked
+    return whole_of(z, **given).objects(marked, np.full(z.shape, slope, np.float32))
 
 
 def test_falls_equal_those_of_scipy(rng):
@@ -412,11 +362,8 @@ def test_the_crest_of_a_dike_is_ground(rng, width, height, slope):
     """Dikes of earth across a plain with waves, at 2 points per m2; a twentieth of the points are plants."""
     x, y = rng.uniform(0, 120, (2, 28_800))
     across = np.abs((x - 60) * np.cos(0.5) + (y - 60) * np.sin(0.5))
-    z = (
-        np.maximum(height - np.maximum(across - width / 2, 0) * slope, 0)
-        + 0.3 * np.sin(x / 25)
-        + rng.normal(0, 0.03, len(x))
-    )
+    dike = np.maximum(height - np.maximum(across - width / 2, 0) * slope, 0)
+    z = dike + 0.3 * np.sin(x / 25) + rng.normal(0, 0.03, len(x))
     plant = rng.random(len(x)) < 0.05
     cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z + plant * rng.uniform(0.5, 3, len(x))]))
     ground = jf.OST.for_cloud(cloud)(cloud).ground
@@ -531,20 +478,6 @@ def overhanging(rng):
     return xyz, kind
 
 
-def test_rock_above_a_void_is_told_from_crowns_and_from_what_hangs_alone(rng):
-    xyz, kind = overhanging(rng)
-    xyz = xyz.astype(np.float32)
-    cells = cells_of(xyz)
-    rows, columns = cells.lowest.shape
-    bare = np.mgrid[:rows, :columns][1] >= 20
-    found = overhangs(xyz, cells, bare, 0.42, 25)
-    shares = [found[kind == number].mean() for number in range(5)]
-    assert shares[1] > 0.95 and max(shares[0], shares[3], shares[4]) == 0 and shares[2] < 0.1
-    near = overhangs(xyz, cells, bare, 0.42, 2)  # only two cells from the steep terrain
-    assert not near[xyz[:, 0] < 18].any() and near[(kind == 1) & (xyz[:, 0] >= 18)].mean() > 0.95
-    assert not overhangs(xyz, cells, np.zeros_like(bare), 0.42, 25).any()
-
-
 def test_an_overhang_is_ground_and_so_is_what_is_beneath(rng, monkeypatch):
     xyz, kind = overhanging(rng)
     steep = lambda self, *_: np.mgrid[: self.z.shape[0], : self.z.shape[1]][1] >= 20  # noqa: E731
@@ -572,107 +505,96 @@ def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the
     """A level 40 m above a beach, cut by the data on three sides: it falls along its whole inner border."""
     z = np.zeros((80, 80), np.float32)
     z[30:] = 40
-    none, flat = np.zeros(z.shape, bool), np.zeros(z.shape, np.float32)
     plateau = z > 0
-    np.testing.assert_array_equal(whole_of(z, largest=4001).objects(none, flat), plateau)
-    assert not whole_of(z, largest=3999).objects(none, flat).any()
+    np.testing.assert_array_equal(objects(z, largest=4001), plateau)
+    assert not objects(z, largest=3999).any()
     corner = np.hypot(*np.mgrid[:80, :80]) < 100  # the data end along a circle; nothing beyond is judged
-    found = whole_of(z, inside=corner, largest=1e9).objects(none, flat)
+    found = objects(z, inside=corner)
     np.testing.assert_array_equal(found, plateau & corner)
 
 
 def test_a_roof_of_several_levels_is_an_object():
     """Bands of 8 m on a hall of 40 m, 1 m higher and lower in turn: most of the border of each falls by no more."""
-    level = np.zeros((80, 80), np.float32)
-    none = np.zeros(level.shape, bool)
-    hall = level.copy()
+    hall = np.zeros((80, 80), np.float32)
     hall[20:60, 20:60] = 8 + np.arange(40) // 8 % 2
-    np.testing.assert_array_equal(whole_of(hall).objects(none, level), hall > 0)
+    np.testing.assert_array_equal(objects(hall), hall > 0)
     low = np.where(hall > 0, np.float32(11), 0)
     low[20:60, 33:47] = 8  # between two higher parts it falls at its ends only
-    np.testing.assert_array_equal(whole_of(low).objects(none, level), low > 0)
+    np.testing.assert_array_equal(objects(low), low > 0)
     rock = np.where(hall > 0, hall + np.random.default_rng(0).uniform(-0.8, 0.8, hall.shape), 0).astype(np.float32)
-    assert not whole_of(rock).objects(none, level).any()  # a group, but of no segments
+    assert not objects(rock).any()  # a group, but of no segments
     corner = np.roll(hall, (-20, -20), (0, 1))
-    np.testing.assert_array_equal(whole_of(corner).objects(none, level), corner > 0)
-    low = whole_of(corner * np.float32(0.4)).objects(
-        none, level
-    )  # walls of 3 m: the band beside them falls, no other does
+    np.testing.assert_array_equal(objects(corner), corner > 0)
+    low = objects(corner * np.float32(0.4))  # walls of 3 m: the band beside them falls, no other
     np.testing.assert_array_equal(low, (corner > 0) & (np.arange(80) >= 32))
 
 
 def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is():
     """Half of its outline is inside, with walls. A plateau has faces, walls above a void, or less of it inside."""
     (row, column), level = np.mgrid[:80, :80], np.zeros((80, 80), np.float32)
-    none, hall, judged = level > 0, level.copy(), {"roofs": ROOFS._replace(drop_share=0.53), "largest": 400}
+    hall, judged = level.copy(), {"roofs": ROOFS._replace(drop_share=0.53), "largest": 400}
     hall[:50, :40] = 8
-    np.testing.assert_array_equal(whole_of(hall, **judged).objects(none, level), hall > 0)
+    np.testing.assert_array_equal(objects(hall, **judged), hall > 0)
     stairs = hall.copy()
     stairs[50:57, 20] = np.arange(7, 0, -1)  # by which it is in one group with the ground
-    assert whole_of(stairs, **judged).objects(none, level)[hall > 0].all()
-    assert not whole_of(hall / 2, **judged).objects(none, level).any()  # 4 m high
-    assert not whole_of(hall, seen=column + row < 70, **judged).objects(none, level).any()  # a void beside most of it
+    assert objects(stairs, **judged)[hall > 0].all()
+    assert not objects(hall / 2, **judged).any()  # 4 m high
+    assert not objects(hall, seen=column + row < 70, **judged).any()  # a void beside most of it
     face = 8 - 2 * np.clip(np.maximum(row - 49, column - 39), 0, 4).astype(np.float32)
-    assert not whole_of(face, **judged).objects(none, level)[face == 8].any()
+    assert not objects(face, **judged)[face == 8].any()
     wide = level.copy()
     wide[:10] = 8  # as a strip along one edge it is cut by three
-    assert not whole_of(wide, **judged).objects(none, level).any()
+    assert not objects(wide, **judged).any()
 
 
 def test_a_steep_roof_that_a_corner_of_the_data_cuts_is_an_object_and_a_rock_is_none():
     row, column = np.indices((60, 60), np.float32)
-    level = np.zeros((60, 60), np.float32)
-    none, roof = level > 0, np.where((row < 30) & (column < 30), 30 - 0.6 * (abs(column - 16) + abs(row - 16)), level)
+    roof = np.where((row < 30) & (column < 30), 30 - 0.6 * (abs(column - 16) + abs(row - 16)), np.float32(0))
     assert not whole_of(roof).segments.number[roof > 0].any()
-    np.testing.assert_array_equal(whole_of(roof).objects(none, level), roof > 0)
+    np.testing.assert_array_equal(objects(roof), roof > 0)
     rough = np.random.default_rng(0).uniform(-0.6, 0.6, roof.shape)
     rock = np.where(roof > 0, roof + rough, 0).astype(np.float32)
-    assert not whole_of(rock).objects(none, level).any()
-    assert (
-        not whole_of(np.roll(roof, (20, 20), (0, 1))).objects(none, level).any()
-    )  # a mound inside the data is left to openings
+    assert not objects(rock).any()
+    assert not objects(np.roll(roof, (20, 20), (0, 1))).any()  # a mound inside the data is left to openings
 
 
 def test_a_narrow_headland_with_faces_is_ground_and_a_hall_with_walls_is_none():
     """Both are level, 40 m wide and 30 m high, and cut by the data at their ends; the faces are 70 degrees steep."""
     away = abs(np.mgrid[:90, :90][1].astype(np.float32) - 45) - 20
-    none, flat = np.zeros(away.shape, bool), np.zeros(away.shape, np.float32)
     headland, hall = np.clip(30 - 2.75 * away, 0, 30), np.where(away <= 0, np.float32(30), 0)
-    assert not whole_of(headland).objects(none, flat)[headland == 30].any()
-    np.testing.assert_array_equal(whole_of(hall).objects(none, flat), hall > 0)
-    few = ~none & (np.arange(90) % 4 > 0)  # where a quarter of the cells is empty, a face may be a wall
-    assert whole_of(headland, seen=few).objects(none, flat)[headland == 30].all()
+    assert not objects(headland)[headland == 30].any()
+    np.testing.assert_array_equal(objects(hall), hall > 0)
+    few = np.isfinite(away) & (np.arange(90) % 4 > 0)  # where a quarter of the cells is empty, a face may be a wall
+    assert objects(headland, seen=few)[headland == 30].all()
 
 
 def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
     row, column = np.mgrid[:60, :60].astype(np.float32)
     level = np.zeros((60, 60), np.float32)
-    none, flat = np.zeros((60, 60), bool), np.zeros((60, 60), np.float32)
-
     gable = level.copy()
     gable[20:40, 20:32] = (6 - 0.25 * abs(column - 25.5))[20:40, 20:32]
-    np.testing.assert_array_equal(whole_of(gable).objects(none, flat), gable > 0)
+    np.testing.assert_array_equal(objects(gable), gable > 0)
 
     deck = level - 6
     deck[27:33] = 0
-    np.testing.assert_array_equal(whole_of(deck).objects(none, flat), deck == 0)
+    np.testing.assert_array_equal(objects(deck), deck == 0)
 
     rise = np.float32(0.25) * np.clip(column - 10, 0, 24)
     terrace = np.where(row >= 30, level, rise)  # a ramp up to 6 m, with one steep side
-    assert not whole_of(terrace).objects(none, flat).any()
+    assert not objects(terrace).any()
     roof = gable > 0
-    np.testing.assert_array_equal(whole_of(gable, ROOFS._replace(drop=99.0)).objects(roof, flat), roof)
+    np.testing.assert_array_equal(objects(gable, roofs=ROOFS._replace(drop=99.0), marked=roof), roof)
     few = roof & (row < 28)  # 8 of its 20 rows are marked
-    assert not whole_of(gable, ROOFS._replace(drop=99.0)).objects(few, flat).any()
-    assert not whole_of(gable, ROOFS._replace(area=500.0)).objects(roof, flat).any()
-    assert not whole_of(gable).objects(none, flat + 3.0).any()  # falls that a landscape of 300 % explains
+    assert not objects(gable, roofs=ROOFS._replace(drop=99.0), marked=few).any()
+    assert not objects(gable, roofs=ROOFS._replace(area=500.0), marked=roof).any()
+    assert not objects(gable, slope=3.0).any()  # falls that a landscape of 300 % explains
 
 
-def test_cells_outside_the_hull_are_told(rng, pool):
+def test_cells_outside_the_hull_are_told(rng, tin_of):
     xy = rng.uniform(0, 40, (200, 2))
     xy = xy[np.hypot(*(xy - 20).T) < 18]
     xyz = points_of(np.column_stack([xy, np.ones(len(xy))]))
-    tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    tin = tin_of(xyz)
     cells = cells_of(xyz)
     inside = filled_by(tin, cells, 4, 8.0)[1]
     row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
@@ -684,14 +606,14 @@ def test_cells_outside_the_hull_are_told(rng, pool):
     assert 0 < inside.sum() < inside.size
 
 
-def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
+def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
     """Level land with a void 20 m wide, and a roof 5 m high at its edge."""
     row, column = (a.ravel() + 0.5 for a in np.mgrid[:40, :60])
     roof = (column > 14) & (column < 20) & (row > 15) & (row < 25)
     land = (column < 20) | (column > 40)
     xyz = points_of(np.column_stack([column, row, 5.0 * roof])[land])
     cells = cells_of(xyz)
-    tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    tin = tin_of(xyz)
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
     hung, straight = (filled_by(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
@@ -722,10 +644,10 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
 
 
 @pytest.mark.parametrize("edges", [0, 1, 3])
-def test_surroundings_are_means_over_steps_in_scipys_triangulation(rng, pool, edges):
+def test_surroundings_are_means_over_steps_in_scipys_triangulation(rng, tin_of, edges):
     xyz = points_of(np.column_stack([rng.uniform(0, 40, (400, 2)), np.zeros(400)]).round(3))
     count, values = len(xyz), rng.normal(size=len(xyz)).astype(np.float32)
-    tin, nodes = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool), rng.permutation(count)[:150]
+    tin, nodes = tin_of(xyz), rng.permutation(count)[:150]
     out = np.empty(len(nodes), np.float32)
     rings.surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, values, out)
     beside = np.eye(count, dtype=int)
@@ -880,12 +802,6 @@ def test_no_tree_at_the_border_of_the_data_is_ground():
     border = np.minimum(np.minimum(x, y), np.minimum(x.max() - x, y.max() - y)) < 1
     assert (tree & border).sum() > 300
     assert (ground & tree & border).sum() <= 0.01 * (tree & border).sum()
-
-
-def test_the_lowest_of_each_position():
-    xyz = points_of(np.array([[0, 0, 3], [0, 0, 1], [5, 5, 2], [5, 5, 4], [9, 0, 0]], float))
-    rows = lowest_of_each(xyz, np.arange(5))
-    assert sorted(xyz[rows, 2].tolist()) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("case", ["no seeds left", "few cells", "all low but a line"])

@@ -15,7 +15,7 @@ from jaxfilter.engines import neighbours
 from jaxfilter.engines.grid.depressions import Basins
 from jaxfilter.engines.grid.sparse import CellSet
 from jaxfilter.scenes import Kind
-from jaxfilter.steps.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
+from jaxfilter.steps.outliers import isolated_low, knn_outliers, low_clusters, radius_outliers
 from jaxfilter.steps.trend import low_trend
 
 
@@ -30,9 +30,10 @@ def crowd(rng):
     return points_of(np.round(xyz * 2) / 2)
 
 
-@pytest.mark.parametrize(("radius", "least"), [(1.0, 2), (2.5, 10), (5.0, 40)])
-def test_radius_outliers_equal_all_pairs(crowd, radius, least):
-    """Copies are no neighbours."""
+@pytest.mark.parametrize(("radius", "least", "entries"), [(1.0, 2, 10**6), (2.5, 10, 10**6), (5.0, 40, 500)])
+def test_radius_outliers_equal_all_pairs(crowd, radius, least, entries, monkeypatch):
+    """Copies are no neighbours. The last ones are counted part by part."""
+    monkeypatch.setattr(neighbours, "_ENTRIES", entries)
     every = crowd.xyz.astype(np.float64)
     count = (cdist(every, every) <= radius).sum(axis=1) - 1
     out = radius_outliers(crowd.xyz, radius, least)
@@ -55,21 +56,15 @@ def test_many_neighbours_take_no_more_memory_than_points(rng):
         jf.FPTD(radius=1, min_neighbours=100_000)
 
 
-def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):
-    whole = [radius_outliers(crowd.xyz, 5.0, 40), knn_outliers(crowd.xyz, 30)]
-    monkeypatch.setattr(neighbours, "_ENTRIES", 500)
-    parts = [radius_outliers(crowd.xyz, 5.0, 40), knn_outliers(crowd.xyz, 30)]
-    assert all(one.any() for one in whole)
-    np.testing.assert_array_equal(parts, whole)
-
-
 def test_a_point_just_beyond_the_radius_is_no_neighbour():
     xyz = np.array([[0, 0, 0], [1 + 2**-21, 0, 0]], np.float32)
     for radius, few in ((1.0, True), (1 + 2**-20, False)):
         assert (radius_outliers(xyz, radius, 1) == few).all()
 
 
-def test_knn_outliers_equal_all_pairs(rng):
+@pytest.mark.parametrize("entries", [10**6, 500])
+def test_knn_outliers_equal_all_pairs(rng, entries, monkeypatch):
+    monkeypatch.setattr(neighbours, "_ENTRIES", entries)
     xyz = points_of(np.column_stack([rng.uniform(0, 30, (300, 2)), rng.normal(0, 1, 300)])).xyz
     xyz[::50, 2] += 25
     distance = cdist(xyz.astype(np.float64), xyz.astype(np.float64))
@@ -136,7 +131,9 @@ def pits_of(z, depth, max_points, points=None):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_depressions_equal_flooding(seed):
+def test_depressions_equal_flooding(seed, monkeypatch):
+    if seed % 4 == 3:
+        monkeypatch.setattr("jaxfilter.engines.grid.sparse._TABLE", 0)
     rng = np.random.default_rng(seed)
     z = rng.permutation(np.arange(24 * 17, dtype=np.float32)).reshape(24, 17)
     if seed % 2:
@@ -175,16 +172,6 @@ def test_the_largest_depression_that_holds_few_enough_points_is_taken():
     assert inner.cell.tolist() == [7, 9] and inner.spill.tolist() == [3, 3] and inner.points.tolist() == [7, 9]
 
 
-def test_low_trend_follows_a_plane_and_ignores_a_pit(rng):
-    xy = rng.uniform(0, 300, (40_000, 2))
-    xyz = np.column_stack([xy, 0.4 * xy[:, 0] - 0.2 * xy[:, 1] + 90]).astype(np.float32)
-    inner = ((xy > 30) & (xy < 270)).all(axis=1)
-    trend = low_trend(xyz, 0, 0, 15.0)
-    assert np.ptp((xyz[:, 2] - trend)[inner]) < 1.5  # the plane rises by 140; lowest points vary in their cells
-    xyz[np.hypot(*(xy - 152).T) < 5, 2] -= 30
-    assert np.abs(low_trend(xyz, 0, 0, 15.0) - trend).max() < 0.45 * 15  # the rise over one cell
-
-
 def dense_trend(xyz, x0, y0, size):
     """The same by SciPy's image filters on the whole grid."""
     column, row = (((xyz[:, axis] - start) / np.float32(size)) for axis, start in ((0, x0), (1, y0)))
@@ -202,18 +189,6 @@ def test_low_trend_equals_image_filters(rng, share):
     xyz = xyz[(rng.random((27, 27)) < share)[block[:, 0], block[:, 1]]]
     x0, y0 = xyz[:, :2].min(axis=0) - np.float32(2)
     np.testing.assert_allclose(low_trend(xyz, x0, y0, 15.0), dense_trend(xyz, x0, y0, 15.0), atol=1e-4)
-
-
-def test_cells_are_found_with_and_without_a_table(rng, monkeypatch):
-    inside = rng.random((40, 30)) < 0.1
-    row, column = (i.ravel() for i in np.mgrid[-3:43, -3:33])
-    wide = np.pad(ndimage.binary_dilation(inside, np.ones((5, 5))), 3)
-    number = np.where(wide, np.cumsum(wide).reshape(wide.shape) - 1, wide.sum()).ravel()
-    for table in (1000, 0):
-        monkeypatch.setattr("jaxfilter.engines.grid.sparse._TABLE", table)
-        cells, member = cells_of(inside)
-        assert member.tolist() == list(range(inside.sum()))
-        np.testing.assert_array_equal(cells.grown(2).find(row, column), number)
 
 
 @pytest.mark.slow
@@ -318,41 +293,6 @@ def test_false_minima_of_scenes_go_and_the_ground_stays(name, density):
     assert barred[ground].mean() < (0.02 if name == "city" else 0.003)  # in the city courtyards, about 1 %
     back = jf.FPTD()(scene.cloud).ground[points.index]
     assert (barred & ~back)[ground].mean() < 0.001  # courtyards pass the second test; a hollow of the quarry does not
-
-
-def test_bar_outliers_joins_both_tests(rng):
-    xyz = hillside(rng, 0.1)
-    low = np.argsort(np.hypot(*(xyz[:, :2] - 80).T))[:12]
-    xyz[low, 2] -= 6
-    xyz = np.concatenate([xyz, [[40, 40, 60.0]]])
-    points = points_of(xyz)
-    barred, late, _ = bar_outliers(points, radius=3.0, min_neighbours=2, clusters=True)
-    assert np.flatnonzero(late[points.member]).tolist() == sorted(low)
-    assert np.array_equal(barred, late | radius_outliers(points.xyz, 3.0, 2))
-    assert barred[points.member][-1] and not late[points.member][-1]
-    assert not any(part.any() for part in bar_outliers(points, radius=0.0, min_neighbours=2, clusters=False)[:2])
-
-
-def test_low_clusters_ignore_order_and_offset(rng):
-    scene = scenes.make("city", size=200, density=1.0, seed=2)
-    points = points_of(scene.xyz)
-    barred = low_clusters(points).barred[points.member]
-    order = rng.permutation(len(scene.xyz))
-    moved = points_of(scene.xyz[order] + [500000.37, 4800000.81, 300], anchor=(500000.37, 4800000.81))
-    assert barred.any()
-    np.testing.assert_array_equal(low_clusters(moved).barred[moved.member], barred[order])
-
-
-def test_small_clouds():
-    for xyz in ([[0, 0, 0]], [[0, 0, 0], [3, 0, -9]], [[0, 0, 0], [1, 0, 0], [0, 1, -50.0]]):
-        points = points_of(np.array(xyz, float))
-        assert low_clusters(points).barred.shape == (len(xyz),)
-        assert radius_outliers(points.xyz, 2.0, 1).shape == (len(xyz),)
-
-
-def test_low_clusters_name_the_wrong_parameter():
-    with pytest.raises(jf.ParameterError, match=r"low_clusters\(depth=-1\)"):
-        low_clusters(points_of(np.eye(3)), depth=-1)
 
 
 @pytest.mark.data

@@ -17,6 +17,7 @@ from fsspec.registry import _registry
 
 import jaxfilter as jf
 from jaxfilter.cli import main
+from jaxfilter.surveys.dask import Cluster
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -96,26 +97,14 @@ def test_dependencies_and_extras_are_used():
     assert rest == {"startinpy", "distributed", "optax"}, "GeoTIFF, GeoPackage and pictures come with the plain install"
 
 
-def natural():
-    from jaxfilter.terrain.interpolation import Interpolation, surface_through
-
-    surface_through(np.zeros((3, 3), np.float32), Interpolation("natural"))
+PLANE = jf.PointCloud.from_arrays(np.eye(3))
 
 
-def cluster():
-    from jaxfilter.surveys.dask import Cluster
-
-    Cluster("tcp://127.0.0.1:1")
-
-
-@pytest.mark.parametrize(
-    "library, extra, error, call",
-    [
-        ("startinpy", "natural", ImportError, natural),
-        ("distributed", "cluster", ImportError, cluster),
-        ("s3fs", "remote", jf.InputError, lambda: jf.read("s3://bucket/in.laz")),
-    ],
-)
+@pytest.mark.parametrize("library, extra, error, call", [
+    ("startinpy", "natural", ImportError, lambda: jf.dtm(PLANE, np.ones(3, bool), method="natural")),
+    ("distributed", "cluster", ImportError, lambda: Cluster("tcp://127.0.0.1:1")),
+    ("s3fs", "remote", jf.InputError, lambda: jf.read("s3://bucket/in.laz")),
+])  # fmt: skip
 def test_a_missing_extra_is_named(monkeypatch, library, extra, error, call):
     monkeypatch.setitem(sys.modules, library, None)
     monkeypatch.delitem(_registry, "s3", raising=False)  # of an earlier test

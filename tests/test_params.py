@@ -45,6 +45,8 @@ class Toy:
         ({"angle": "20"}, "angle='20'.*number"),
         ({"angle": None}, "angle=None.*number"),
         ({"angle": True}, "angle=True.*number"),
+        ({"angle": 1j}, "angle=1j.*number"),
+        ({"angle": object()}, "angle=<object.*number"),
         ({"floor": -1e-9}, "must be >= 0 m"),
         ({"window": 0.0}, "window=0.0"),
         ({"window": math.inf}, "window=inf.*finite and > 0 m"),
@@ -57,18 +59,6 @@ class Toy:
 def test_values_out_of_range_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
         Toy(**changes)
-
-
-@METHODS
-def test_numbers_that_overflow_are_refused(method):
-    """Whatever their limits are: sizes from 1e-9 to 1e9 of what is not 0."""
-    numeric = [f for f in dataclasses.fields(method) if not f.metadata.get("choices") and f.type not in ("str", str)]
-    assert numeric
-    for field in numeric:
-        for value in (1e300, -1e300, 1e-300, 5e-324, 10**400):
-            with pytest.raises(ParameterError, match=rf"{method.__name__}\({field.name}="):
-                method(**{field.name: value})
-    Toy(floor=1e-9, angle=math.pi), Toy(floor=1e9, window=None), Toy(floor=math.inf)
 
 
 def test_a_domain_is_a_symbol_limits_and_a_unit():
@@ -85,28 +75,7 @@ def test_a_domain_is_a_symbol_limits_and_a_unit():
 def test_limits_are_inclusive_where_declared_and_optional_fields_may_be_none():
     assert Toy(angle=90, floor=0, window=None, rounds=1).window is None
     assert Toy(angle=np.float32(45)).angle == 45
-
-
-def test_thresholds_are_leaves_and_static_fields_are_structure():
-    leaves, structure = jax.tree_util.tree_flatten(Toy(angle=33.0))
-    assert leaves == [33.0, 0.0]
-    assert jax.tree_util.tree_unflatten(structure, leaves) == Toy(angle=33.0)
-    assert structure == jax.tree_util.tree_structure(Toy(angle=1.0))
-    assert structure != jax.tree_util.tree_structure(Toy(window=19.0))
-
-
-def test_a_threshold_does_not_compile_anew_and_a_static_field_does():
-    traces = []
-
-    @jax.jit
-    def scaled(toy: Toy) -> jax.Array:
-        traces.append(toy.window)
-        return jnp.float32(toy.angle) * (toy.window or 0.0)
-
-    assert [float(scaled(Toy(angle=float(a)))) for a in (10, 20, 30)] == [180, 360, 540]
-    assert traces == [18.0]
-    scaled(Toy(window=19.0))
-    assert traces == [18.0, 19.0]
+    Toy(floor=1e-9, angle=math.pi), Toy(floor=1e9, window=None), Toy(floor=math.inf)
 
 
 @pytest.mark.parametrize("scalar", [np.float32, np.float64, np.array, jnp.float32, jnp.asarray])
@@ -129,23 +98,10 @@ def test_arrays_of_values_are_refused_by_name(value):
         FILTERS["csf"](rigidness=np.array([1, 2]))
 
 
-def test_what_is_no_number_is_refused():
-    for value in (object(), 1j, "0.1", None, True):
-        with pytest.raises(ParameterError, match=r"SMRF\(slope=.*a number is needed"):
-            SMRF(slope=value)
-
-
 @pytest.mark.parametrize("value", [3.0, np.float64(3)])
 def test_whole_numbers_may_come_as_floats(value):
     made = FILTERS["fptd"](max_rounds=value)
     assert type(made.max_rounds) is int and made == FILTERS["fptd"](max_rounds=3)
-
-
-def test_thresholds_can_be_swept_by_vmap():
-    angles = jnp.array([10.0, 20.0])
-    np.testing.assert_allclose(jax.vmap(lambda angle: dataclasses.replace(Toy(), angle=angle).angle)(angles), angles)
-    stacked = jax.tree_util.tree_map(lambda *leaves: jnp.stack(leaves), Toy(angle=10.0), Toy(angle=20.0, floor=1.0))
-    np.testing.assert_allclose(jax.vmap(lambda toy: toy.angle + toy.floor)(stacked), [10, 21])
 
 
 def test_trees_are_rebuilt_with_any_leaf():
@@ -174,29 +130,6 @@ def test_registry_looks_up_by_name_in_any_case():
     assert all(name == name.lower() for name in FILTERS)
     with pytest.raises(KeyError, match=r"no filter named 'nosuch'; known filters: .*fptd"):
         FILTERS["nosuch"]
-
-
-@METHODS
-def test_every_method_is_documented_cited_and_has_both_presets(method):
-    assert {"paper", "recommended"} <= set(method.PRESETS)
-    assert "=" not in method.__doc__.splitlines()[0], "a dataclass without docstring gets its signature"
-    assert "@article{" in citation(method()) == citation(method.__name__)
-    doi = re.findall(r"doi:(10\.[^\s,]+[^\s,.])", method.__doc__)
-    assert all(f"{{{one}}}" in method.BIBTEX for one in doi), doi
-    for f in dataclasses.fields(method):
-        assert f.metadata.get("doc"), f"{method.__name__}.{f.name} says nothing"
-        assert "static" in f.metadata
-
-
-@METHODS
-def test_presets_are_valid_and_changes_go_on_top(method):
-    for name in method.PRESETS:
-        method.preset(name)
-    first = next(f.name for f in dataclasses.fields(method) if isinstance(f.default, float) and f.default > 0)
-    value = getattr(method(), first)
-    assert getattr(method.preset("paper", **{first: value / 2}), first) == value / 2
-    with pytest.raises(ParameterError, match="no preset 'nosuch'"):
-        method.preset("nosuch")
 
 
 @METHODS
@@ -237,8 +170,6 @@ def test_parameters_from_the_cloud_are_valid(method):
     for spacing in (0.05, 0.5, 5.0):
         for building in (5.0, 60.0, 300.0, None):
             method(**method.from_spacing(spacing, building))
-    with pytest.raises(ParameterError, match="largest_building=0"):
-        method.for_cloud(np.zeros((0, 3)), largest_building=0)
 
 
 def test_the_window_of_fptd_is_the_least_multiple_of_six_strides_that_holds_the_building():
@@ -247,12 +178,6 @@ def test_the_window_of_fptd_is_the_least_multiple_of_six_strides_that_holds_the_
         found = FILTERS["fptd"].from_spacing(1.0, decimetres / 10)
         window, stride = round(10 * found["window"], 6), round(10 * found["stride"], 6)
         assert window == 6 * stride == -(-decimetres // 6) * 6
-
-
-@METHODS
-def test_every_method_survives_the_pytree_round_trip(method):
-    leaves, structure = jax.tree_util.tree_flatten(method())
-    assert jax.tree_util.tree_unflatten(structure, leaves) == method()
 
 
 def test_an_unknown_citation_names_the_known_ones():
@@ -267,6 +192,8 @@ def test_every_paper_is_written_once_and_cited():
         r"^@article\{(\w+),$", (Path(jf.__file__).parent / "methods" / "papers.bib").read_text(), re.MULTILINE
     )
     assert len(set(keys)) == len(keys) == 12
+    for method in FILTERS.values():
+        assert all(f"{{{doi}}}" in method.BIBTEX for doi in re.findall(r"doi:(10\.[^\s,]+[^\s,.])", method.__doc__))
     cited = [key for name in FILTERS for key in re.findall(r"^@article\{(\w+),$", citation(name), re.MULTILINE)]
     assert set(cited) == set(keys) and len(cited) == 18
     blocks = {block for name in FILTERS for block in citation(name).split("\n\n")}

@@ -36,15 +36,6 @@ def test_padding_values_and_length_do_not_matter():
     np.testing.assert_allclose(fit_planes(*longer).gradient, fit_planes(xyz, mask).gradient, atol=1e-5)
 
 
-def test_exact_plane_has_no_residuals():
-    xyz, mask = blocks(seed=2)
-    xyz[..., 2] = 0.25 * xyz[..., 0] - 0.5 * xyz[..., 1]
-    planes = fit_planes(xyz, mask)
-    np.testing.assert_allclose(planes.gradient, np.tile([0.25, -0.5], (20, 1)), atol=1e-3)
-    np.testing.assert_allclose(np.asarray(plane_residuals(planes, xyz))[mask], 0, atol=2e-3)
-    np.testing.assert_allclose(planes.slope, np.degrees(np.arctan(np.hypot(0.25, 0.5))), atol=0.02)
-
-
 def test_collinear_and_short_blocks_determine_no_plane():
     xyz = np.zeros((4, 5, 3), np.float32)
     xyz[0, :, 0] = xyz[0, :, 1] = np.arange(5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from jaxfilter import plots
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError, ParameterError
 from jaxfilter.sweeps.best import axes_of, best_sets
@@ -15,23 +16,14 @@ from jaxfilter.sweeps.best import axes_of, best_sets
 SLOPES, THRESHOLDS, CELLS = [0.05, 0.1, 0.2, 0.4], [0.3, 0.5, 0.7], [0.5, 1.0]
 
 
-@pytest.fixture
-def plots():
-    from jaxfilter import plots
-
-    return plots
-
-
 def with_scores(total, dims, coords):
-    scores = {name: (dims, values) for name, values in (("type1", total / 2), ("type2", total), ("total", total))}
+    scores = {"type1": total / 2, "type2": total, "total": total, "kappa": 100 - 2 * total}
+    scores["ground"] = np.arange(total.size).reshape(total.shape)
     units = {"slope": "rise/run", "threshold": "m", "cell": "m"}
     coords = {
         name: (on, values, {"units": units[name]} if name in units else {}) for name, (on, values) in coords.items()
     }
-    return xr.Dataset(
-        {**scores, "kappa": (dims, 100 - 2 * total), "ground": (dims, np.arange(total.size).reshape(total.shape))},
-        coords,
-    )
+    return xr.Dataset({name: (dims, values) for name, values in scores.items()}, coords)
 
 
 @pytest.fixture
@@ -89,8 +81,6 @@ def test_best_sets_of_several_clouds_go_by_the_mean_of_those_with_labels(grid):
 def test_sets_without_scores_keep_their_order_and_ties_too(grid):
     assert best_sets(grid * np.nan, count=None).index.tolist() == list(range(24))
     assert best_sets(grid * 0 + 1, count=5).index.tolist() == [0, 1, 2, 3, 4]
-    with pytest.raises(ParameterError, match="score='f1': choose one of 'type1'"):
-        best_sets(grid, "f1")
 
 
 def line(ax, label):
@@ -98,7 +88,7 @@ def line(ax, label):
 
 
 @pytest.mark.parametrize("score, best", [("total", np.min), ("kappa", np.max)])
-def test_curve_of_a_grid_is_the_best_over_the_others(plots, grid, score, best):
+def test_curve_of_a_grid_is_the_best_over_the_others(grid, score, best):
     ax = plots.sweep_curve(grid, "threshold", score, title="SMRF")
     values = grid[score].values
     np.testing.assert_array_equal(line(ax, "best of the sets").get_xdata(), THRESHOLDS)
@@ -113,14 +103,14 @@ def test_curve_of_a_grid_is_the_best_over_the_others(plots, grid, score, best):
     assert ax.get_ylabel() == {"total": "total error (%)", "kappa": "kappa (%)"}[score]
 
 
-def test_curve_of_one_axis_is_the_score_itself(plots, grid):
+def test_curve_of_one_axis_is_the_score_itself(grid):
     one = grid.isel(threshold=0, cell=1, drop=True)
     ax = plots.sweep_curve(one, "slope")
     np.testing.assert_array_equal(line(ax, "all sets").get_ydata(), one["total"].values)
     assert not ax.collections
 
 
-def test_curve_of_a_design_has_every_set_and_its_lower_envelope(plots, design):
+def test_curve_of_a_design_has_every_set_and_its_lower_envelope(design):
     ax = plots.sweep_curve(design, "slope")
     slope, total = design["slope"].values, design["total"].values
     np.testing.assert_array_equal(ax.collections[0].get_offsets(), np.column_stack([slope, total]))
@@ -132,7 +122,7 @@ def test_curve_of_a_design_has_every_set_and_its_lower_envelope(plots, design):
     assert ax.get_ylim()[1] < total.max(), "the worst sets are cut off"
 
 
-def test_words_stand_side_by_side_and_ratios_on_a_logarithmic_axis(plots, design, grid):
+def test_words_stand_side_by_side_and_ratios_on_a_logarithmic_axis(design, grid):
     ax = plots.sweep_curve(design, "insertion")
     assert [t.get_text() for t in ax.get_xticklabels()] == list(dict.fromkeys(design["insertion"].values))
     assert set(ax.collections[0].get_offsets()[:, 0]) == {0.0, 1.0} and ax.get_xlim() == (-0.5, 1.5)
@@ -143,7 +133,7 @@ def test_words_stand_side_by_side_and_ratios_on_a_logarithmic_axis(plots, design
     assert [t.get_text() for t in plots.sweep_curve(mixed, "cell").get_xticklabels()] == ["none", "1"]
 
 
-def test_curves_have_a_panel_per_axis(plots, grid, tmp_path):
+def test_curves_have_a_panel_per_axis(grid, tmp_path):
     figure = plots.sweep_curves(grid)
     assert [ax.get_xlabel() for ax in figure.axes] == ["slope (rise/run)", "threshold (m)", "cell (m)"]
     assert [ax.get_ylabel() for ax in figure.axes] == ["total error (%)", "", ""]
@@ -153,7 +143,7 @@ def test_curves_have_a_panel_per_axis(plots, grid, tmp_path):
 
 
 @pytest.mark.parametrize("score, best", [("total", np.min), ("kappa", np.max)])
-def test_map_of_a_grid_is_the_best_over_the_others(plots, grid, score, best):
+def test_map_of_a_grid_is_the_best_over_the_others(grid, score, best):
     ax = plots.sweep_map(grid, "threshold", "slope", score)
     values = grid[score].values
     mesh = ax.collections[0]
@@ -167,7 +157,7 @@ def test_map_of_a_grid_is_the_best_over_the_others(plots, grid, score, best):
     assert "best over the other parameters" in bar.get_ylabel()
 
 
-def test_map_of_a_design_has_every_set_with_the_best_on_top(plots, design):
+def test_map_of_a_design_has_every_set_with_the_best_on_top(design):
     ax = plots.sweep_map(design, "slope", "threshold")
     points = ax.collections[0]
     drawn = np.asarray(points.get_array())
@@ -179,7 +169,7 @@ def test_map_of_a_design_has_every_set_with_the_best_on_top(plots, design):
     assert design["total"].values[design["slope"].values == x] == [design["total"].values.min()]
 
 
-def test_maps_have_a_panel_per_pair_and_one_scale(plots, grid, tmp_path):
+def test_maps_have_a_panel_per_pair_and_one_scale(grid, tmp_path):
     figure = plots.sweep_maps(grid)
     panels, bar = figure.axes[:-1], figure.axes[-1]
     assert len(panels) == 3 and "total error (%)" in bar.get_ylabel()
@@ -191,46 +181,39 @@ def test_maps_have_a_panel_per_pair_and_one_scale(plots, grid, tmp_path):
         )
 
 
-def test_pictures_name_what_is_wrong(plots, grid):
-    with pytest.raises(ParameterError, match="axis 'window' was not swept; there are slope, threshold, cell"):
-        plots.sweep_curve(grid, "window")
-    with pytest.raises(ParameterError, match="both 'slope'"):
-        plots.sweep_map(grid, "slope", "slope")
-    with pytest.raises(ParameterError, match="score='f1'"):
-        plots.sweep_curves(grid, "f1")
-    with pytest.raises(InputError, match="no reference labels"):
-        plots.sweep_curves(grid * np.nan)
-    with pytest.raises(InputError, match="only slope was swept"):
-        plots.sweep_maps(grid.isel(threshold=0, cell=0, drop=True))
+@pytest.mark.parametrize("draw, error, words", [
+    (lambda grid: plots.sweep_curve(grid, "window"), ParameterError, "'window' was not swept; there are slope, threshold, cell"),
+    (lambda grid: plots.sweep_map(grid, "slope", "slope"), ParameterError, "both 'slope'"),
+    (lambda grid: plots.sweep_curves(grid, "f1"), ParameterError, "score='f1'"),
+    (lambda grid: best_sets(grid, "f1"), ParameterError, "score='f1': choose one of 'type1'"),
+    (lambda grid: plots.sweep_curves(grid * np.nan), InputError, "no reference labels"),
+    (lambda grid: plots.sweep_maps(grid.isel(threshold=0, cell=0, drop=True)), InputError, "only slope was swept"),
+])  # fmt: skip
+def test_pictures_name_what_is_wrong(grid, draw, error, words):
+    with pytest.raises(error, match=words):
+        draw(grid)
 
 
-def test_votes_map_draws_disputed_points(plots, rng, tmp_path):
+def test_votes_map_draws_disputed_points(rng, tmp_path):
     xyz = np.column_stack([rng.uniform(0, 50, (2000, 2)), rng.uniform(0, 0.1, 2000)])
-    returns = np.full(2000, 2, np.uint8)
-    cloud = PointCloud.from_arrays(
-        xyz, return_number=1 + (np.arange(2000) % 2).astype(np.uint8), number_of_returns=returns
-    )
+    echoes = {"return_number": 1 + np.arange(2000) % 2, "number_of_returns": np.full(2000, 2)}
+    cloud = PointCloud.from_arrays(xyz, **{name: values.astype(np.uint8) for name, values in echoes.items()})
     votes = np.where(cloud.candidate, rng.choice([0.0, 0.25, 0.5, 0.9, 1.0], 2000), 0.0).astype(np.float32)
     ax = plots.votes_map(cloud, votes, title="where parameters matter")
-    points = ax.collections[0]
-    disputed = (votes > 0) & (votes < 1)
-    drawn = points.get_offsets()
-    assert sorted(map(tuple, drawn.tolist())) == sorted(map(tuple, cloud.xyz[disputed, :2].tolist()))
+    points, disputed = ax.collections[0], (votes > 0) & (votes < 1)
+    drawn = points.get_offsets().tolist()
+    assert sorted(map(tuple, drawn)) == sorted(map(tuple, cloud.xyz[disputed, :2].tolist()))
     place = {tuple(xy): share for xy, share in zip(cloud.xyz[:, :2].tolist(), votes, strict=True)}
-    of_drawn = np.array([place[tuple(xy)] for xy in drawn.tolist()])
+    of_drawn = np.array([place[tuple(xy)] for xy in drawn])
     np.testing.assert_allclose(points.get_array(), 100 * np.minimum(of_drawn, 1 - of_drawn), rtol=1e-6)
     assert (np.diff(points.get_array()) >= 0).all(), "the most disputed are on top"
     (text,) = (t.get_text() for t in ax.get_legend().get_texts())
     assert f"{disputed.sum():,} of 1,000 judged points ({disputed.sum() / 10:.1f} %)" in text
     ax.figure.savefig(tmp_path / "votes.png")
+    for same in (np.zeros(2000), np.where(cloud.candidate, 1.0, 0.0)):
+        ax = plots.votes_map(cloud, same)
+        assert len(ax.collections[0].get_offsets()) == 0
+        assert "0 of 1,000" in ax.get_legend().get_texts()[0].get_text()
     for wrong in (votes[1:], votes + 1, np.where(votes > 0, np.nan, votes)):
         with pytest.raises(InputError, match="votes: shares between 0 and 1 of 2000 points"):
             plots.votes_map(cloud, wrong)
-
-
-def test_votes_map_without_disputes_and_without_ground(plots, rng):
-    cloud = PointCloud.from_arrays(rng.uniform(0, 10, (100, 3)))
-    for votes in (np.zeros(100), np.ones(100)):
-        ax = plots.votes_map(cloud, votes)
-        assert len(ax.collections[0].get_offsets()) == 0
-        assert "0 of 100" in ax.get_legend().get_texts()[0].get_text()

@@ -9,8 +9,7 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
-from jaxfilter.steps.consensus import batches, cells_of, consensus_planes, rows_of
-from jaxfilter.steps.quadrants import Buckets, nearest_in_quadrants, rings
+from jaxfilter.steps.consensus import cells_of, consensus_planes
 from jaxfilter.steps.references import NearestReferences, QuadrantReferences, local_planes
 from jaxfilter.steps.scaled_planes import PlaneSearch, progressive_planes
 
@@ -42,6 +41,9 @@ def test_the_plane_with_most_points_is_found_in_every_cell(planes):
         assert ((np.abs(distance) <= 0.15) == on[rows]).mean() > 0.99
         assert found.inliers[k] == (np.abs(distance) <= 0.15).sum()
         assert found.below[k] == pytest.approx(max(0, -distance.min()), abs=1e-4)
+        alone = consensus_planes(cells_of(xyz[rows], start[k : k + 2] - start[k], 16), DRAWS, 0.15, 75.0)
+        for one, all_ in zip(alone, found, strict=True):
+            np.testing.assert_array_equal(one[0], all_[k], err_msg="not beside others")
     narrow = consensus_planes(cells_of(xyz, start, 16), DRAWS, 0.03, 75.0)  # counted again after the fit
     for k in range(3):
         offsets = xyz[start[k] : start[k + 1]] - xyz[start[k]] - np.asarray(narrow.centre[k])
@@ -54,28 +56,6 @@ def test_steep_planes_are_not_tried(rng):
     cells = cells_of(np.concatenate([wall, floor]), np.array([0, 100]), 8)
     assert consensus_planes(cells, DRAWS, 0.1, 90.0).normal[0, 2] < 0.1
     assert consensus_planes(cells, DRAWS, 0.1, 75.0).normal[0, 2] > 0.99
-
-
-def test_a_plane_does_not_depend_on_what_is_computed_beside_it(planes):
-    xyz, start, *_ = planes
-    together = consensus_planes(cells_of(xyz, start, 16), DRAWS, 0.15, 75.0)
-    for k in range(3):
-        alone = consensus_planes(
-            cells_of(xyz[start[k] : start[k + 1]], start[k : k + 2] - start[k], 16), DRAWS, 0.15, 75.0
-        )
-        for one, all_ in zip(alone, together, strict=True):
-            np.testing.assert_array_equal(one[0], all_[k])
-
-
-def test_batches_cover_all_cells_and_respect_the_limit(rng):
-    count = rng.integers(1, 900, 200)
-    start = np.append(0, np.cumsum(count))
-    parts = batches(start, 32)
-    assert [k for part in parts for k in range(part.start, part.stop)] == list(range(200))
-    rows = -(-count // 64)
-    assert max(rows[part].sum() for part in parts) <= 32
-    assert batches(np.array([0, 64 * 100, 64 * 100 + 1]), 32) == [slice(0, 1), slice(1, 2)]
-    assert rows_of(6000) == rows_of(5600)
 
 
 def brute(xy, query, references, reach):
@@ -114,39 +94,6 @@ def test_quadrants_against_brute_force(rng, side, reach):
     around.keep(half)
     around.add(references)
     np.testing.assert_allclose(around.square, brute(xy, query[half], references, reach), rtol=1e-5, atol=1e-6)
-
-
-def test_a_search_in_quadrants_ends_at_the_last_ring_of_cells():
-    """One point is in the corner of the square, 5.7 cells away, the other two cells."""
-    xy, at = np.float32([[8.5, 8.5], [2.5, 6.5]]), np.float32([[4.5, 4.5]])
-    cell, home = (np.int32([9 * y + x for x, y in some.astype(int)]) for some in (xy, at))
-    found, square = np.full((1, 4), -1, np.int32), np.full((1, 4), 100, np.float32)
-    buckets = Buckets.of(xy, np.arange(2), cell, (9, 9))
-    last = np.zeros(1, bool), np.zeros(1, np.int64)
-    nearest_in_quadrants(*buckets, at, home, rings(4), np.float32(1), found, square, *last)
-    assert found.tolist() == [[-1, 1, -1, -1]] and square.tolist() == [[100, 8, 100, 100]]
-
-
-def test_ties_go_to_the_reference_that_came_first_then_to_the_nearer_ring_of_cells(rng):
-    xy = rng.permutation(np.stack(np.mgrid[:24, :24], axis=-1).reshape(-1, 2))[:400].astype(np.float32)
-    query, references = np.arange(120), np.arange(120, 400)
-    around = QuadrantReferences(xy, query, 2.0, 9.0)
-    cell = np.floor((xy - xy.min(axis=0)) / 2).astype(int)
-    best = np.full((120, 4), -1)
-    for part in (references[:60], references[60:]):
-        around.add(part, workers=2)
-        for i, k in itertools.product(query, range(4)):
-            dx, dy = (xy[part] - xy[i]).T
-            own = [(dx > 0) & (dy >= 0), (dx <= 0) & (dy > 0), (dx < 0) & (dy <= 0), (dx >= 0) & (dy < 0)][k]
-            rows = part[own & (dx**2 + dy**2 < 81)]
-            steps = np.abs(cell[rows] - cell[i])
-            gap = (np.maximum(steps - 1, 0) ** 2).sum(axis=1)
-            square = ((xy[rows] - xy[i]) ** 2).sum(axis=1)
-            if len(rows):
-                first = np.lexsort((rows, steps[:, 1], steps[:, 0], gap, square))[0]
-                if best[i, k] < 0 or square[first] < ((xy[best[i, k]] - xy[i]) ** 2).sum():
-                    best[i, k] = rows[first]
-        np.testing.assert_array_equal(around.row, best)
 
 
 def test_nearest_references_against_brute_force(rng):
@@ -274,20 +221,6 @@ def test_lowest_seeds_are_the_lowest_points_of_the_cells(rng):
     lowest = [rows[np.argmin(xyz[rows, 2])] for rows in (np.flatnonzero(cell == c) for c in np.unique(cell))]
     np.testing.assert_array_equal(np.flatnonzero(result.decision == jf.Decision.SEED), np.sort(lowest))
     assert result.info["planes"] == 0
-
-
-def test_planes_through_the_nearest_references_tilt_where_they_stand_on_one_side(rng):
-    """A hollow without seeds on a slope: its points have references all around, but the nearest four are on one side."""
-    xy = rng.uniform(0, 60, (9000, 2)).round(2)
-    z = 0.5 * xy[:, 0] + rng.normal(0, 0.05, 9000)
-    hole = np.hypot(*(xy - 30).T) < 8
-    rows = np.flatnonzero(hole)
-    xyz = np.column_stack([xy, z]).astype(np.float32)
-    spread = []
-    for around in (QuadrantReferences(xyz, rows, 1.0, 30.0), NearestReferences(xyz, rows, 30.0)):
-        around.add(np.flatnonzero(~hole))
-        spread.append(np.sqrt(np.mean(local_planes(xyz, rows, around.row)[1] ** 2)))
-    assert spread[0] < 0.2 and spread[1] > 3 * spread[0]
 
 
 def test_a_wide_roof_is_no_ground_if_the_disk_is_wider(rng):

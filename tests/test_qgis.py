@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -19,14 +20,17 @@ from pathlib import Path
 from unittest import mock
 
 import click
+import geopandas
 import laspy
 import numpy as np
 import pytest
 import rasterio
+import shapely
 
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.session import Session
+from jaxfilter.terrain.layers import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "qgis" / "jaxfilter_provider"
@@ -70,49 +74,32 @@ def test_every_flag_is_one_of_the_command_with_the_same_default(name):
 
 
 def test_choices_are_those_of_the_library():
-    from jaxfilter.terrain.layers import LAYERS
-
     assert list(jf.FILTERS) == algorithms.METHODS and list(LAYERS) == algorithms.LAYERS
 
 
-@pytest.mark.parametrize(
-    "name, values, line",
-    [
-        ("ground", {"INPUT": ["/a b/1.laz", "/2.laz"], "OUTPUT": "/out/"}, ["ground", "/a b/1.laz", "/2.laz", "/out/"]),
-        (
-            "ground",
-            {"FOLDER": "/in", "METHOD": "smrf", "OUTPUT": "/t/", "OUTPUT_FILE": "/o.laz", "REVIEW": "/p.gpkg"},
-            ["ground", "smrf", "--for-cloud", "/in", "/o.laz", "--review", "/p.gpkg"],
-        ),
-        (
-            "ground",
-            {"INPUT": ["/1"], "METHOD": "default", "EXTRA": ["doubt", "height"], "GROUND_CLASS": 2, "OTHER_CLASS": 3}
-            | {"OVERWRITE": True, "RESUME": False, "LOAD": True, "MORE": '--bounds 1 2 3 4 --work "a b"', "OUTPUT": "/o/"}
-            | {"CRS": "EPSG:25832", "UNITS": "as the CRS says", "RETURNS": "last,only", "NOISE_CLASS": 0}
-            | {"WATER_CLASS": 9, "BRIDGE_CLASS": 17, "BREAKLINES": "/w.gpkg"},
-            ["ground", "/1", "/o/", "--extra", "doubt", "--extra", "height", "--other-class", "3", "--noise-class", "0"]
-            + ["--water-class", "9", "--bridge-class", "17"]
-            + ["--crs", "EPSG:25832", "--overwrite", "--bounds", "1", "2", "3", "4", "--work", "a b"]
-            + ["--breaklines", "/w.gpkg"],
-        ),
-        (
-            "products",
-            {"INPUT": ["/1"], "METHOD": "csf", "ONLY": ["dtm", "chm"], "CELL": 0.5, "CELL_UNITS": "m", "OUTPUT": "/o/"},
-            ["products", "/1", "/o/", "--filter", "csf", "--for-cloud", "--only", "dtm,chm", "--cell", "0.5"]
-            + ["--cell-units", "m"],
-        ),
-        ("products", {"INPUT": ["/1"], "CLASSIFIED": True, "CELL": 1.0, "OUTPUT": "/o/"},
-         ["products", "/1", "/o/", "--classified", "2"]),
-        ("products", {"INPUT": ["/1"], "ONLY": [""], "MEMORY": "", "OUTPUT": "/o/"}, ["products", "/1", "/o/"]),  # of widgets
-        ("ground", {"INPUT": ["/1"], "EXTRA": [""], "MORE": "", "OUTPUT": "/o/"}, ["ground", "/1", "/o/"]),
-        ("review", {"INPUT": ["/1"], "GROUND_CLASS": 8, "OUTPUT": "/p.gpkg"}, ["review", "/1", "/p.gpkg", "--classified", "8"]),
-        ("apply", {"PLACES": "/p.gpkg", "FOLDER": "/in"}, ["apply", "/p.gpkg", "/in"]),
-        ("accuracy", {"INPUT": ["/1"], "MODEL": "/d.tif", "CHECKPOINTS": "/c.csv", "OUTPUT": "/o.html"},
-         ["accuracy", "/1", "/d.tif", "/o.html", "--checkpoints", "/c.csv"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("name, values, line", [
+    ("ground", {"INPUT": ["/a b/1.laz", "/2.laz"], "OUTPUT": "/out/"}, "ground '/a b/1.laz' /2.laz /out/"),
+    ("ground", {"FOLDER": "/in", "METHOD": "smrf", "OUTPUT": "/t/", "OUTPUT_FILE": "/o.laz", "REVIEW": "/p.gpkg"},
+     "ground smrf --for-cloud /in /o.laz --review /p.gpkg"),
+    ("ground",
+     {"INPUT": ["/1"], "METHOD": "default", "EXTRA": ["doubt", "height"], "GROUND_CLASS": 2, "OTHER_CLASS": 3}
+     | {"OVERWRITE": True, "RESUME": False, "LOAD": True, "MORE": '--bounds 1 2 3 4 --work "a b"', "OUTPUT": "/o/"}
+     | {"CRS": "EPSG:25832", "UNITS": "as the CRS says", "RETURNS": "last,only", "NOISE_CLASS": 0}
+     | {"WATER_CLASS": 9, "BRIDGE_CLASS": 17, "BREAKLINES": "/w.gpkg"},
+     "ground /1 /o/ --extra doubt --extra height --other-class 3 --noise-class 0 --water-class 9 --bridge-class 17 "
+     "--crs EPSG:25832 --overwrite --bounds 1 2 3 4 --work 'a b' --breaklines /w.gpkg"),
+    ("products", {"INPUT": ["/1"], "METHOD": "csf", "ONLY": ["dtm", "chm"], "CELL": 0.5, "CELL_UNITS": "m", "OUTPUT": "/o/"},
+     "products /1 /o/ --filter csf --for-cloud --only dtm,chm --cell 0.5 --cell-units m"),
+    ("products", {"INPUT": ["/1"], "CLASSIFIED": True, "CELL": 1.0, "OUTPUT": "/o/"}, "products /1 /o/ --classified 2"),
+    ("products", {"INPUT": ["/1"], "ONLY": [""], "MEMORY": "", "OUTPUT": "/o/"}, "products /1 /o/"),  # of widgets
+    ("ground", {"INPUT": ["/1"], "EXTRA": [""], "MORE": "", "OUTPUT": "/o/"}, "ground /1 /o/"),
+    ("review", {"INPUT": ["/1"], "GROUND_CLASS": 8, "OUTPUT": "/p.gpkg"}, "review /1 /p.gpkg --classified 8"),
+    ("apply", {"PLACES": "/p.gpkg", "FOLDER": "/in"}, "apply /p.gpkg /in"),
+    ("accuracy", {"INPUT": ["/1"], "MODEL": "/d.tif", "CHECKPOINTS": "/c.csv", "OUTPUT": "/o.html"},
+     "accuracy /1 /d.tif /o.html --checkpoints /c.csv"),
+])  # fmt: skip
 def test_parameters_make_the_words_of_a_command_line(name, values, line):
-    assert algorithms.command_line(BY_NAME[name], values) == line
+    assert algorithms.command_line(BY_NAME[name], values) == shlex.split(line)
 
 
 def test_further_options_are_split_as_on_the_command_line_of_the_system(monkeypatch):
@@ -128,15 +115,8 @@ def test_a_crs_of_the_user_has_no_code_that_others_know(monkeypatch):
     """Of QGIS there is only what the module needs to be loaded."""
     core = mock.MagicMock(QgsProcessingProvider=object, QgsProcessingAlgorithm=object)
     core.QgsProcessingLayerPostProcessorInterface = object
-    parts = (
-        "processing",
-        "processing.core",
-        "processing.core.ProcessingConfig",
-        "qgis",
-        "qgis.PyQt",
-        "qgis.PyQt.QtGui",
-    )
-    for part in parts:
+    parts = "processing processing.core processing.core.ProcessingConfig qgis qgis.PyQt qgis.PyQt.QtGui"
+    for part in parts.split():
         monkeypatch.setitem(sys.modules, part, mock.MagicMock(core=core))
     monkeypatch.delitem(sys.modules, "jaxfilter_provider.provider", raising=False)
     provider = importlib.import_module("jaxfilter_provider.provider")
@@ -194,18 +174,15 @@ def test_a_line_of_progress_of_the_command_is_understood(capsys):
     assert feedback.share == 42.0 and feedback.said == [("setProgressText", line)]
 
 
-@pytest.mark.parametrize(
-    "code, words",
-    [
-        (
-            "import sys; print('Usage: x'); print('Error: a.laz: no\\nfile', file=sys.stderr); sys.exit(2)",
-            "a.laz: no\nfile",
-        ),
-        ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
-        ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
-        ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
-    ],
-)
+@pytest.mark.parametrize("code, words", [
+    (
+        "import sys; print('Usage: x'); print('Error: a.laz: no\\nfile', file=sys.stderr); sys.exit(2)",
+        "a.laz: no\nfile",
+    ),
+    ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
+    ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
+    ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
+])  # fmt: skip
 def test_an_error_is_that_of_the_command(code, words):
     with pytest.raises(command.CommandError) as error:
         command.run(python(code), Feedback())
@@ -457,9 +434,6 @@ def test_layers_of_the_project_are_taken_and_results_are_loaded_with_styles(qgis
 
 
 def test_a_layer_without_a_file_or_with_edits_is_refused(qgis, tmp_path):
-    import geopandas
-    import shapely
-
     frame = geopandas.GeoDataFrame(
         {"rank": [1], "verdict": ["fine"]}, geometry=[shapely.box(0, 0, 9, 9)], crs="EPSG:25832"
     )
@@ -479,20 +453,11 @@ def test_classes_have_colours_on_a_point_cloud(qgis, survey, tmp_path):
 
 def _write_ept(folder, xyz, kinds):
     """Points as an Entwine Point Tile of one node, which QGIS reads without PDAL."""
-    for part in ("ept-data", "ept-hierarchy", "ept-sources"):
-        (folder / part).mkdir(parents=True)
     low, high, offset = xyz.min(axis=0), xyz.max(axis=0), np.floor(xyz.min(axis=0))
     schema = [
-        {
-            "name": name,
-            "type": "signed",
-            "size": 4,
-            "scale": 0.001,
-            "offset": float(offset[k]),
-            "minimum": float(low[k]),
-        }
-        | {"maximum": float(high[k]), "mean": float(low[k]), "stddev": 1, "variance": 1, "count": len(xyz)}
-        for k, name in enumerate("XYZ")
+        {"name": name, "type": "signed", "size": 4, "scale": 0.001, "offset": off, "minimum": least, "maximum": most}
+        | {"mean": least, "stddev": 1, "variance": 1, "count": len(xyz)}
+        for name, off, least, most in zip("XYZ", offset.tolist(), low.tolist(), high.tolist(), strict=True)
     ]
     counts = [{"value": int(one), "count": int((kinds == one).sum())} for one in np.unique(kinds)]
     schema.append({"name": "Classification", "type": "unsigned", "size": 1, "counts": counts, "count": len(xyz)})
@@ -500,21 +465,23 @@ def _write_ept(folder, xyz, kinds):
     for k, name in enumerate("XYZ"):
         rows[name] = np.round((xyz[:, k] - offset[k]) / 0.001)
     rows["Classification"] = kinds
-    (folder / "ept-data/0-0-0-0.bin").write_bytes(rows.tobytes())
-    (folder / "ept-hierarchy/0-0-0-0.json").write_text(json.dumps({"0-0-0-0": len(xyz)}))
-    (folder / "ept-sources/list.json").write_text("[]")
     middle, half = (low + high) / 2, (high - low).max() / 2 + 1
     about = {"bounds": [*(middle - half), *(middle + half)], "boundsConforming": [*low, *high], "dataType": "binary"}
     about |= {"hierarchyType": "json", "points": len(xyz), "schema": schema, "span": 256, "srs": {}, "version": "1.0.0"}
-    (folder / "ept.json").write_text(json.dumps(about))
+    for name, content in (
+        ("ept-data/0-0-0-0.bin", rows.tobytes()),
+        ("ept-hierarchy/0-0-0-0.json", json.dumps({"0-0-0-0": len(xyz)}).encode()),
+        ("ept-sources/list.json", b"[]"),
+        ("ept.json", json.dumps(about).encode()),
+    ):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
 
 
 def test_places_are_listed_carried_out_and_stated_in_qgis(qgis, survey, tmp_path):
     """One after the other, as people do it."""
     for name in ("review", "apply", "accuracy"):
         options(name)
-    import geopandas
-
     shutil.copytree(survey / "known", tmp_path / "known")
     places = tmp_path / "places.gpkg"
     code, results, said = run_algorithm(qgis, "review", FOLDER=tmp_path / "known", OUTPUT=places)
@@ -524,8 +491,6 @@ def test_places_are_listed_carried_out_and_stated_in_qgis(qgis, survey, tmp_path
     ground = np.asarray(las.classification) == 2
     x, y = np.asarray(las.x), np.asarray(las.y)
     middle = np.argmin(np.hypot(x - x.mean(), y - y.mean()) + 1e6 * ~ground)
-    import shapely
-
     box = shapely.Point(x[middle], y[middle]).buffer(8)
     row = {name: (frame[name].iloc[0] if len(frame) else None) for name in frame.columns if name != "geometry"}
     decided = geopandas.GeoDataFrame([row | {"rank": 1, "verdict": "bridge"}], geometry=[box], crs="EPSG:25832")

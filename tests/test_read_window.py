@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 import warnings
-from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
-from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patch
+from las_files import OFFSETS, SCALES, las_of, make_copc, make_deep_copc, make_las, patch
 
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
 from jaxfilter.files import blocks, records, windows
-from jaxfilter.files.blocks import Blocks
 from jaxfilter.files.classes import Finding, Found
 from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import describe_file
-from jaxfilter.files.windows import blocks_of, file_cloud, read_window
+from jaxfilter.files.windows import file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
@@ -239,34 +236,6 @@ def test_feet_and_options_as_in_read(tmp_path):
     assert_is_mask(read_window(source_of(path, units="m"), box), path, box, units="m")
 
 
-def test_a_window_is_written_like_a_cut(tmp_path):
-    path, box = tmp_path / "in.laz", (X + 10, Y + 10, X + 60, Y + 70)
-    make_las(path, 7, n=300, extra=True)
-    window = read_window(source_of(path), box)
-    ground = np.arange(len(window.record)) % 2 == 0
-    jf.write(tmp_path / "window.laz", window.cloud, ground)
-    jf.write(tmp_path / "cut.laz", jf.read(path, bounds=box), ground)
-    assert (tmp_path / "window.laz").read_bytes() == (tmp_path / "cut.laz").read_bytes()
-
-
-def test_no_points(tmp_path):
-    path = tmp_path / "in.laz"
-    make_las(path, 6, n=0)
-    source = source_of(path)
-    window = read_window(source, (X, Y, X + 1, Y + 1), tmp_path)
-    assert len(window.cloud) == 0 and window.record.shape == (0,) and np.isnan(source.bounds).all()
-
-
-def test_more_points_than_the_header_says(tmp_path):
-    """LAZ whose header announces fewer points than its chunks hold: those that ``read`` gives."""
-    path = tmp_path / "in.laz"
-    make_las(path, 6, n=500)
-    patch(path, "Q", 247, 450)
-    with pytest.warns(jf.JaxfilterWarning, match="450"):
-        window = read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
-    np.testing.assert_array_equal(window.record, np.arange(450))
-
-
 @pytest.mark.parametrize("name", ["in.las", "in.laz"])
 def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     """The index serves later processes (an empty memory) as long as the file is the same, and is made anew when damaged."""
@@ -285,27 +254,18 @@ def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     assert len(passes) == 1 and first.cloud.xyz.tobytes() == second.cloud.xyz.tobytes()
     (kept,) = index.rglob("*.npz")
     content = kept.read_bytes()
-    for damage in (b"", content[:100], content[: len(content) // 2], b"x" * 500):
-        kept.write_bytes(damage)
+    for damaged in (b"", content[:100], content[: len(content) // 2], b"x" * 500):
+        kept.write_bytes(damaged)
         assert read().record.tobytes() == first.record.tobytes()
     assert len(passes) == 5 and kept.read_bytes() == content
+    for at in range(0, len(content), 29):  # other bits anywhere: what was kept, or nothing
+        kept.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
+        assert read().record.tobytes() == first.record.tobytes()
+    assert len(passes) > 5 + len(content) / 29 / 2
+    passes.clear()
     make_las(path, 6, n=1000, seed=1)
     assert_is_mask(read(), path, (X, Y, X + 50, Y + 50))
-    assert len(passes) == 6 and len(list(index.rglob("*"))) == 2
-
-
-def test_no_damage_to_an_index_is_an_error(tmp_path):
-    """A flipped bit anywhere: what was kept, or nothing."""
-    rng, path = np.random.default_rng(0), tmp_path / "kept.npz"
-    whole = [rng.integers(0, 10**6, 20) for _ in range(4)] + [rng.random((20, 2)) for _ in range(2)] + [np.arange(20)]
-    Blocks(*whole).save(path, "file")
-    content, found = path.read_bytes(), []
-    for at in range(0, len(content), 5):
-        path.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
-        kept = Blocks.load(path, "file")
-        found.append(kept is None)
-        assert kept is None or np.array_equal(np.hstack([kept.low, kept.high]), np.hstack(whole[4:6]))
-    assert sum(found) > len(found) / 2
+    assert len(passes) == 1 and len(list(index.rglob("*"))) == 2
 
 
 def test_points_that_the_header_denies(tmp_path):
@@ -333,42 +293,22 @@ def test_a_file_that_changes_is_refused(tmp_path):
         read_window(source, box)
 
 
-@pytest.mark.parametrize("name", ["in.laz", "in.las", "in.copc.laz"])
-def test_a_truncated_file_is_refused(tmp_path, name):
-    path = tmp_path / name
-    make_copc(path) if "copc" in name else make_las(path, 1, n=5000)
-    source = dataclasses.replace(source_of(path), identity="")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-    with pytest.raises(jf.InputError, match=name.replace(".", r"\.")):
-        read_window(source, (X, Y, X + 50, Y + 50))
-
-
-def bytes_read(monkeypatch, call):
-    """What ``call`` returns, and the bytes that were read from files among the points and tables for it."""
-    counted = []
-    packed = blocks.read_ranges
-    monkeypatch.setattr(blocks, "read_ranges", lambda *a: counted.append(a[3].sum()) or packed(*a))
-    return call(), sum(counted)
-
-
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     """Scan lines of 200,000 points: a hundredth of the area at the end of the file is a few runs of them."""
     monkeypatch.setattr(blocks, "RUN", 1024)
     path, n = tmp_path / f"in{suffix}", 200_000
     row, column = np.divmod(np.arange(n), 400)
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = SCALES, OFFSETS
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = X + column / 4, Y + row / 5, np.zeros(n)
-    las.write(path)
+    las_of(path, np.column_stack([X + column / 4, Y + row / 5, np.zeros(n)]), scales=SCALES, offsets=OFFSETS)
     source = source_of(path, units="m")
     x1, y1 = source.bounds[2:]
     box = (x1 - 10, y1 - 10, x1 + 1, y1 + 1)
     read_window(source, box, tmp_path / "index")
-    window, read = bytes_read(monkeypatch, lambda: read_window(source, box, tmp_path / "index"))
+    counted, ranges = [], blocks.read_ranges
+    monkeypatch.setattr(blocks, "read_ranges", lambda *a: counted.append(a[3].sum()) or ranges(*a))
+    window = read_window(source, box, tmp_path / "index")
     assert len(window.record) == 41 * 51
-    assert read <= path.stat().st_size * (0.13 if suffix == ".las" else 0.26)
+    assert sum(counted) <= path.stat().st_size * (0.13 if suffix == ".las" else 0.26)
 
 
 @pytest.mark.parametrize("most, decoded", [(10**8, 4), (5_000_000, 8)], ids=["all kept", "two kept"])
@@ -390,14 +330,3 @@ def test_windows_beside_one_another_decode_their_chunk_once(tmp_path, monkeypatc
     assert sum(chunk.nbytes for chunk in chunks._chunks.values()) <= most
     make_las(path, 6, n=n, X=np.arange(n) + 7, Y=np.zeros(n, int))
     assert read_window(source_of(path, units="m"), box, tmp_path / "index").record[0] == start - 7
-
-
-def test_sources_are_small_and_go_to_other_processes(tmp_path):
-    make_las(tmp_path / "in.laz", 6, n=500)
-    source = source_of(tmp_path / "in.laz")
-    sent = pickle.dumps(source)
-    assert pickle.loads(sent) == source and len(sent) < 2500
-    window = read_window(pickle.loads(sent), (X, Y, X + 50, Y + 50))
-    again = read_window(dataclasses.replace(source, identity=""), (X, Y, X + 50, Y + 50))
-    assert window.cloud.xyz.tobytes() == again.cloud.xyz.tobytes()
-    assert len(blocks_of(source.place, Identity.of(source.place))) == 1 and isinstance(source.place, Path)

@@ -12,13 +12,13 @@ from html.parser import HTMLParser
 import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import done, facts, run
+from scipy.spatial import cKDTree
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.reports.layers import doubt_per_point, layers_of, places
-from jaxfilter.reports.page import pack, script_json
-from jaxfilter.reports.steps import step_values, steps_of, swept_field
+from jaxfilter.reports.page import script_json
+from jaxfilter.reports.steps import step_values, swept_field
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +30,6 @@ def cloud(town):
 @pytest.fixture(scope="module")
 def result(cloud):
     return jf.SMRF()(cloud)
-
-
-def silent(fraction, step):
-    pass
 
 
 def facts_of(path):
@@ -52,29 +48,7 @@ def array_of(path, name):
 # ---- labels at every step ----
 
 
-@pytest.mark.parametrize(
-    "filter_, count, tested",
-    [
-        (jf.SMRF(), None, (0, 11, 29)),
-        (jf.SMRF(threshold=0.0, scaling=0.7), None, (0, 20)),
-        (jf.CSF(), None, (0, 12, 30)),
-        (jf.PPDF(), None, (0, 30)),
-        (jf.FPTD(), 3, (0, 2)),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, jf.Filter) else None,
-)
-def test_labels_of_a_step_are_those_of_the_filter_at_that_value(cloud, filter_, count, tested):
-    result = filter_(cloud)
-    steps = steps_of(result, count, workers=None, progress=silent)
-    assert steps.field == swept_field(filter_) and len(steps.values) >= (count or 25)
-    assert steps.values == sorted(set(steps.values)) and steps.values[steps.now] == getattr(filter_, steps.field)
-    assert np.array_equal(steps.table[steps.code, steps.now], result.ground)
-    for k in tested:
-        alone = filter_.replace(**{steps.field: steps.values[k]})(cloud)
-        assert np.array_equal(steps.table[steps.code, k], alone.ground)
-
-
-def test_without_a_slider_the_labels_are_the_result(cloud, result):
+def test_without_a_slider_the_labels_are_the_result(cloud, result, tmp_path):
     by_hand = dataclasses.replace(result, run=None)
     changed = dataclasses.replace(result, ground=~result.ground)
     free = dataclasses.replace(result, run=dataclasses.replace(result.run, filter=jf.SMRF(threshold=np.inf)))
@@ -86,21 +60,19 @@ def test_without_a_slider_the_labels_are_the_result(cloud, result):
         (free, None, "no threshold has a range"),
         (jf.FilterResult.of_labels(result.ground), None, "the filter is not known"),
     ):
-        steps = steps_of(one, count, workers=None, progress=silent)
-        assert reason in steps.reason
-        assert steps.field is None and np.array_equal(steps.table[steps.code, 0], one.ground)
+        options = jf.ReportOptions(steps=count)
+        page = jf.report(cloud, one, tmp_path / "page.html", options=options, overwrite=True)
+        assert reason in Page(page.read_text()).text
+        assert facts_of(page)["ground"] == [one.ground.sum()]
 
 
-def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, monkeypatch):
-    from jaxfilter.reports import steps
-
-    monkeypatch.setattr(steps, "_WORK", 2 * len(cloud))
-    found = steps_of(jf.MSF()(cloud), None, workers=None, progress=silent)
-    assert found.field is None and "each step would be a classification" in found.reason
-    result = jf.CSF()(cloud)
+def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxfilter.reports.steps._WORK", 2 * len(cloud))
+    page = Page(jf.report(cloud, jf.MSF()(cloud), tmp_path / "a.html").read_text())
+    assert "each step would be a classification" in page.text
     monkeypatch.setattr("jaxfilter.reports.steps.passed", lambda one, labels: np.abs(labels.height) > one.threshold)
-    found = steps_of(result, None, workers=None, progress=silent)
-    assert found.field is None and "not so at all larger ones" in found.reason
+    page = Page(jf.report(cloud, jf.CSF()(cloud), tmp_path / "b.html").read_text())
+    assert "not so at all larger ones" in page.text
 
 
 @pytest.mark.parametrize("name", list(jf.FILTERS))
@@ -116,12 +88,28 @@ def test_every_method_has_values_to_slide_over_that_it_takes(name):
 # ---- counts ----
 
 
-def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud, result, tmp_path):
+@pytest.mark.parametrize(
+    "filter_, count, tested",
+    [
+        (jf.SMRF(), None, (0, 11, 29)),
+        (jf.SMRF(threshold=0.0, scaling=0.7), None, (0, 20)),
+        (jf.CSF(), None, (0, 12, 30)),
+        (jf.PPDF(), None, (0, 30)),
+        (jf.FPTD(), 3, (0, 2)),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, jf.Filter) else None,
+)
+def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud, tmp_path, filter_, count, tested):
     reference = np.where(np.arange(len(cloud)) % 7 == 0, -1, cloud.reference).astype(np.int8)
-    facts = facts_of(jf.report(cloud, result, tmp_path / "page.html", reference=reference))
-    assert (facts["threshold"]["name"], facts["threshold"]["unit"]) == ("threshold", "m")
-    for k in (0, facts["step"], len(facts["values"]) - 1):
-        ground = jf.SMRF(threshold=facts["values"][k])(cloud).ground
+    options = jf.ReportOptions(steps=count)
+    facts = facts_of(jf.report(cloud, filter_(cloud), tmp_path / "a.html", reference=reference, options=options))
+    field, values = facts["threshold"]["name"], facts["values"]
+    units = {one.name: one.metadata.get("unit") for one in dataclasses.fields(filter_)}
+    assert field == swept_field(filter_) and facts["threshold"]["unit"] == units[field]
+    assert len(values) >= (count or 25) and values == sorted(set(values))
+    assert values[facts["step"]] == pytest.approx(getattr(filter_, field))
+    for k in {*tested, facts["step"]}:
+        ground = filter_.replace(**{field: values[k]})(cloud).ground
         assert facts["ground"][k] == ground.sum()
         moved = {(old, new): points[k] for old, new, points in facts["classes"] if points[k]}
         assert moved == jf.class_changes(cloud, ground)
@@ -139,8 +127,6 @@ def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_p
     sample, step = facts_of(path)["sample"], np.array(facts_of(path)["sample"]["step"])
     assert (sample["number"], sample["of"]) == (2000, len(cloud))
     xyz = np.column_stack([array_of(path, axis) for axis in "xyz"]) * step + sample["low"]
-    from scipy.spatial import cKDTree
-
     distance, row = cKDTree(cloud.xyz).query(xyz)
     assert distance.max() <= np.linalg.norm(step) / 2 + 1e-3 and step.max() < 0.005
     assert len(np.unique(row)) > 1900  # some stand on others
@@ -203,24 +189,6 @@ def test_places_to_look_at_are_where_errors_are(cloud, result):
 # ---- the file ----
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_packed_arrays_come_back(rng, dtype):
-    for shape in ((0,), (1,), (513,), (7, 9)):
-        values = rng.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
-        planes = np.frombuffer(zlib.decompress(base64.b64decode(pack(values))), np.uint8)
-        joined = planes.reshape(values.itemsize, -1)
-        sums = np.cumsum(sum(plane.astype(np.int64) << 8 * i for i, plane in enumerate(joined)))
-        assert np.array_equal(sums % (np.iinfo(dtype).max + 1), values.ravel())
-    with pytest.raises(TypeError, match="float64"):
-        pack(np.zeros(3))
-
-
-def test_values_cannot_end_the_script_they_stand_in():
-    text = script_json({"a": "</script><b>", "b": [np.nan, np.float32(1.5)], "c": np.arange(2)})
-    assert "<" not in text
-    assert json.loads(text) == {"a": "</script><b>", "b": [None, 1.5], "c": [0, 1]}
-
-
 class Page(HTMLParser):
     """What stands open at the end, what is loaded from elsewhere, and ids."""
 
@@ -249,17 +217,15 @@ class Page(HTMLParser):
 def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
     title = 'Tile <7> & "west"'
     path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, options=jf.ReportOptions(title=title))
-    page = Page(path.read_text())
+    page, words = Page(path.read_text()), ("pingel2013improved", "ground is at most this far from level terrain")
     assert page.open == [] and page.links == ["data:,"] and len(page.ids) == len(set(page.ids))
-    for words in (
-        title,
-        "pingel2013improved",
-        "ground is at most this far from level terrain",
-        f"{len(cloud):,}",
-        jf.__version__,
-    ):
-        assert words in page.text
+    assert all(one in page.text for one in (title, *words, f"{len(cloud):,}", jf.__version__))
     assert not re.search(r"https?://|@import|url\(", re.sub(r"<pre>.*?</pre>", "", path.read_text(), flags=re.DOTALL))
+
+
+def test_values_cannot_end_the_script_they_stand_in():
+    text = script_json({"a": "</script><b>", "b": [np.nan, np.float32(1.5)], "c": np.arange(2)})
+    assert "<" not in text and json.loads(text) == {"a": "</script><b>", "b": [None, 1.5], "c": [0, 1]}
 
 
 def test_the_same_result_gives_the_same_bytes(cloud, result, tmp_path):
@@ -306,17 +272,17 @@ def test_heights_that_are_not_known_are_left_out(cloud, result, tmp_path):
 
 
 def test_what_cannot_be_written_is_said_and_leaves_nothing(cloud, result, tmp_path):
-    with pytest.raises(jf.OutputError, match=r"page\.pdf: the suffix must be one of \.html, \.htm"):
-        jf.report(cloud, result, tmp_path / "page.pdf")
-    with pytest.raises(jf.OutputError, match="cannot be written"):
-        jf.report(cloud, result, tmp_path / "no" / "page.html")
     (tmp_path / "page.html").write_text("mine")
-    with pytest.raises(jf.OutputError, match="exists"):
-        jf.report(cloud, result, tmp_path / "page.html")
-    with pytest.raises(jf.InputError, match=r"reference has 3 labels"):
-        jf.report(cloud, result, tmp_path / "other.html", reference=np.ones(3, bool))
-    with pytest.raises(jf.InputError, match=r"result: bool\[\d+\]"):
-        jf.report(cloud, np.ones(3, bool), tmp_path / "other.html")
+    three = np.ones(3, bool)
+    for labels, name, how, error, words in (
+        (result, "page.pdf", {}, jf.OutputError, r"page\.pdf: the suffix must be one of \.html, \.htm"),
+        (result, "no/page.html", {}, jf.OutputError, "cannot be written"),
+        (result, "page.html", {}, jf.OutputError, "exists"),
+        (result, "other.html", {"reference": three}, jf.InputError, "reference has 3 labels"),
+        (three, "other.html", {}, jf.InputError, r"result: bool\[\d+\]"),
+    ):
+        with pytest.raises(error, match=words):
+            jf.report(cloud, labels, tmp_path / name, **how)
     with pytest.raises(jf.ParameterError, match=r"steps=-1"):
         jf.ReportOptions(steps=-1)
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"page.html": "mine"}
@@ -333,48 +299,34 @@ def test_progress_goes_from_none_to_all(cloud, result, tmp_path):
 # ---- the command ----
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, ["report", *map(str, arguments)])
-
-
-@pytest.fixture
-def file(cloud, tmp_path):
-    return jf.write(tmp_path / "town.laz", cloud, np.zeros(len(cloud), bool), reset="none")
-
-
-def test_the_command_filters_or_takes_the_classes(file, tmp_path):
-    done = run(file, tmp_path / "a.html", "--filter", "smrf", "--set", "threshold=0.4", "--reference", "own", "--json")
-    assert done.exit_code == 0, done.output
+def test_the_command_filters_or_takes_the_classes(cloud, tmp_path):
+    file = jf.write(tmp_path / "town.laz", cloud, np.zeros(len(cloud), bool), reset="none")
+    how = ("--filter", "smrf", "--set", "threshold=0.4", "--reference", "own")
+    said, page = facts("report", file, tmp_path / "a.html", *how), facts_of(tmp_path / "a.html")
     cloud = jf.read(file, units="m")
     expected = jf.SMRF(threshold=0.4)(cloud)
-    assert json.loads(done.stdout)["ground"] == expected.ground.sum()
-    facts = facts_of(tmp_path / "a.html")
-    assert facts["ground"][facts["step"]] == expected.ground.sum()
-    scores = jf.evaluate(expected, cloud)
-    assert facts["confusion"][facts["step"]] == scores.confusion.tolist()
+    assert said["ground"] == page["ground"][page["step"]] == expected.ground.sum()
+    assert page["confusion"][page["step"]] == jf.evaluate(expected, cloud).confusion.tolist()
     las = laspy.read(file)
     las.points = las.points[np.arange(len(las))[::-1]]
     las.write(tmp_path / "turned.laz")
-    done = run(file, tmp_path / "b.html", "--reference", tmp_path / "turned.laz", "--title", "As delivered")
-    assert done.exit_code == 0 and "points are ground" in done.stdout, done.output
+    how = ("--reference", tmp_path / "turned.laz", "--title", "As delivered")
+    assert "points are ground" in done("report", file, tmp_path / "b.html", *how).stdout
     delivered = facts_of(tmp_path / "b.html")
     assert delivered["ground"] == [int((cloud.classification == 2).sum())]
     assert delivered["scores"]["total"] == [0.0]
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("page.pdf",), "suffix"),
-        (("page.html", "--filter", "no"), "no method 'no'"),
-        (("page.html", "--filter", "smrf", "--set", "slope=-1"), "slope"),
-        (("page.html", "--set", "slope=1"), "--filter"),
-        (("page.html", "--reference", "own"), "--filter"),
-        (("page.html", "--reference", "nowhere.laz"), "no such file"),
-        (("no/page.html",), "not a folder"),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("page.pdf",), "suffix"),
+    (("page.html", "--filter", "no"), "no method 'no'"),
+    (("page.html", "--filter", "smrf", "--set", "slope=-1"), "slope"),
+    (("page.html", "--set", "slope=1"), "--filter"),
+    (("page.html", "--reference", "own"), "--filter"),
+    (("page.html", "--reference", "nowhere.laz"), "no such file"),
+    (("no/page.html",), "not a folder"),
+])  # fmt: skip
 def test_wrong_usage_is_found_before_reading(tmp_path, arguments, words):
     (tmp_path / "broken.laz").write_bytes(b"")
-    done = run(tmp_path / "broken.laz", tmp_path / arguments[0], *arguments[1:])
-    assert done.exit_code == 2 and words in done.stderr, done.output
+    wrong = run("report", tmp_path / "broken.laz", tmp_path / arguments[0], *arguments[1:])
+    assert wrong.exit_code == 2 and words in wrong.stderr, wrong.output

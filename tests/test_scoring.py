@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jaxfilter.core.cloud import PointCloud
-from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.core.errors import InputError
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
@@ -54,19 +53,11 @@ def test_kappa_by_chance_agreement_of_shuffled_labels():
     assert evaluate(result, reference).kappa == pytest.approx(100 * (observed - chance) / (1 - chance), abs=0.2)
 
 
-def test_figures_by_hand():
-    scores = Scores.from_confusion([[6, 2], [1, 3]])
-    assert scores.type1 == pytest.approx(25.0)
-    assert scores.type2 == pytest.approx(25.0)
-    assert scores.total == pytest.approx(25.0)
-    assert scores.accuracy == pytest.approx(75.0)
-    assert scores.precision == pytest.approx(600 / 7)
-    assert scores.recall == pytest.approx(75.0)
-    assert scores.f1 == pytest.approx(2 / (7 / 600 + 1 / 75))
-    assert scores.kappa == pytest.approx(100 * (0.75 - 19 / 36) / (1 - 19 / 36))
-
-
-def test_large_counts_do_not_overflow():
+def test_figures_by_hand_and_of_large_counts():
+    expected = {"type1": 25, "type2": 25, "total": 25, "accuracy": 75, "precision": 600 / 7, "recall": 75}
+    expected |= {"f1": 2 / (7 / 600 + 1 / 75), "kappa": 100 * (0.75 - 19 / 36) / (1 - 19 / 36)}
+    figures = Scores.from_confusion([[6, 2], [1, 3]]).as_dict()
+    assert {name: figures[name] for name in expected} == pytest.approx(expected)
     scores = Scores.from_confusion(np.array([[2**31 - 1, 2**30], [2**30, 2**31 - 1]]))
     assert scores.kappa == pytest.approx(100 / 3, abs=1e-6)
 
@@ -99,14 +90,6 @@ def test_counts_are_exact_beyond_float32():
     n = 2**24 + 3
     ones = np.ones(n, bool)
     assert int(confusion_counts(ones, ones, ones)[0, 0]) == n
-
-
-def test_a_cloud_of_another_size_compiles_nothing():
-    evaluate(*labels(500, 100, 100, 500))
-    watch_compilations()
-    before = compilations()[0]
-    evaluate(*labels(900, 100, 100, 300))
-    assert compilations()[0] == before
 
 
 def test_unlabelled_and_ignored_points_do_not_count():

@@ -45,13 +45,6 @@ def test_lidar_without_echo_numbers_is_told_by_what_is_below_leaves():
     assert sensed(dataclasses.replace(leaves, return_number=None, number_of_returns=None)).kind == MATCHING
 
 
-def test_the_sensor_does_not_depend_on_the_order_of_points():
-    cloud = scene(MATCHING, size=40).cloud
-    order = np.random.default_rng(0).permutation(len(cloud))
-    shuffled = jf.PointCloud.from_arrays(cloud.coordinates()[order])
-    assert sensed(shuffled) == sensed(jf.PointCloud.from_arrays(cloud.coordinates()))
-
-
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_the_thickness_is_that_of_ground(noise):
     """White noise on a slope: residuals of planes through nine points or so, below leaves too."""

@@ -1,12 +1,8 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from jaxfilter.core.cloud import PointCloud
-from jaxfilter.core.compilation import compilations, watch_compilations
-from jaxfilter.core.errors import InputError, ParameterError
+from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.result import Decision
 from jaxfilter.methods import smrf
 from jaxfilter.methods.smrf import SMRF
@@ -68,34 +64,6 @@ def test_counts_of_cells(filtered):
     assert 3 <= result.info["low_cells"] < 10 and 200 < result.info["object_cells"] < 600
 
 
-def test_order_and_shift_of_the_points_do_not_matter(filtered):
-    xyz = np.round(filtered[0], 2)
-    plain = SMRF()(xyz)
-    order = np.random.default_rng(1).permutation(len(xyz))
-    shuffled = SMRF()(xyz[order])
-    np.testing.assert_array_equal(shuffled.ground, plain.ground[order])
-    np.testing.assert_array_equal(shuffled.margin, plain.margin[order])
-    moved = SMRF()(xyz + [500000.0, 4800000.0, 300])
-    np.testing.assert_array_equal(moved.ground, plain.ground)
-    np.testing.assert_array_equal(moved.margin, plain.margin)
-
-
-def test_repeated_points_get_one_label(filtered):
-    xyz, *_ = filtered
-    twice = SMRF()(np.concatenate([xyz, xyz]))
-    np.testing.assert_array_equal(twice.ground[: len(xyz)], twice.ground[len(xyz) :])
-    np.testing.assert_array_equal(twice.ground[: len(xyz)], SMRF()(xyz).ground)
-
-
-def test_another_size_in_the_same_padding_and_other_thresholds_compile_nothing(filtered):
-    watch_compilations()
-    SMRF()(village(seed=2)[0])
-    before = compilations()[0]
-    SMRF()(village(seed=3, size=64.0, count=8400)[0])
-    SMRF(slope=0.3, threshold=0.2, scaling=0.5)(village(seed=2)[0])
-    assert compilations()[0] == before
-
-
 def test_net_cut_removes_a_hall_wider_than_the_window():
     rng = np.random.default_rng(0)
     xyz = np.column_stack([rng.random((12000, 2)) * 110, rng.normal(0, 0.02, 12000)])
@@ -107,27 +75,11 @@ def test_net_cut_removes_a_hall_wider_than_the_window():
     assert cut.ground[~hall].mean() > 0.98
 
 
-def test_a_plane_with_voids_is_all_ground():
-    rng = np.random.default_rng(0)
+def test_a_plane_with_voids_and_one_narrower_than_a_cell_are_all_ground(rng):
     xy = rng.random((3000, 2)) * 90
-    xy = xy[np.hypot(*(xy - 45).T) > 20]
-    assert SMRF()(np.column_stack([xy, 0.1 * xy.sum(axis=1)])).ground.all()
-
-
-def test_clouds_narrower_than_a_cell():
-    rng = np.random.default_rng(0)
-    xyz = np.column_stack([rng.random(50) * 40, rng.random(50) * 0.3, rng.normal(0, 0.01, 50)])
-    result = SMRF()(xyz)
-    assert result.ground.all() and np.isfinite(result.margin).all()
-
-
-def test_only_candidates_are_gridded():
-    xyz, _, pit = village()
-    number = np.where(pit, 1, 2).astype(np.uint8)  # the pits are first of two echoes
-    cloud = PointCloud.from_arrays(xyz, return_number=number, number_of_returns=np.full(len(xyz), 2, np.uint8))
-    result = SMRF()(cloud)
-    assert (result.decision[pit] == Decision.SET_ASIDE).all() and np.isnan(result.height[pit]).all()
-    np.testing.assert_array_equal(result.ground[~pit], SMRF()(dataclasses.replace(cloud, candidate=~pit)).ground[~pit])
+    for plane in (xy[np.hypot(*(xy - 45).T) > 20], xy[:50] * [0.4, 0.003]):
+        result = SMRF()(np.column_stack([plane, 0.1 * plane.sum(axis=1)]))
+        assert result.ground.all() and np.isfinite(result.margin).all()
 
 
 def test_parameters():
@@ -138,16 +90,8 @@ def test_parameters():
     assert (
         SMRF(cell=2, window=18).reach == 9 and SMRF(window=18).halo() == 5 * 18 and SMRF(window=3).halo() == 3 * 4 + 3
     )
-    for wrong in ({"cell": 0}, {"window": -1}, {"slope": 0}, {"cut": -1}, {"window": 5000}):
-        with pytest.raises(ParameterError, match=next(iter(wrong))):
-            SMRF(**wrong)
-
-
-def test_one_stray_point_far_away_is_an_error_before_anything_is_allocated():
-    xyz, *_ = village()
-    xyz[0, :2] += 500_000
-    with pytest.raises(InputError, match="stray"):
-        SMRF()(xyz)
+    with pytest.raises(ParameterError, match="window=5000"):
+        SMRF(window=5000)
 
 
 @pytest.mark.data

@@ -73,10 +73,7 @@ def plain(points, f, barred=None, lost=None):
             if start and f.thresholds == "quantile" and cell < f.seed_cell:
                 others = np.setdiff1d(np.flatnonzero(ground), vertices)
                 _, d, angle, *_ = judge(xyz[others], mesh.find(xy[others]), far, steep)
-                far, steep = (
-                    min(f.max_distance, np.quantile(d, 0.97)),
-                    min(f.max_angle, np.quantile(angle, 0.97)),
-                )
+                far, steep = np.minimum((f.max_distance, f.max_angle), (np.quantile(d, 0.97), np.quantile(angle, 0.97)))
             start = False
             rest = np.flatnonzero(~ground & ~lost)
             ok, _, _, facet, normal, gap = judge(xyz[rest], mesh.find(xy[rest]), far, steep)

@@ -10,19 +10,18 @@ import os
 import re
 import shutil
 import sys
-from pathlib import Path
 
 import fsspec
 import geopandas
-import laspy
 import numpy as np
 import pytest
 import shapely
+from las_files import las_of
 
 import jaxfilter as jf
 
 pytestmark = [
-    pytest.mark.usefixtures("state"),
+    pytest.mark.usefixtures("state", "plain_maps"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 FILTER = jf.PMF(max_window=10.0, low_clusters=False)
@@ -36,7 +35,7 @@ class Killed(BaseException):
 
 class Stops:
     """Counts the changes of files below a folder, and ends the process, or what is like it, before the change number ``at``.
-    ``seen``: those in which a file gets a name that users see.
+    ``seen``: those in which a file gets a name that users see, and the one after which a run in place replaces its inputs.
 
     ``killed``: no later change succeeds, not those of clean-ups either. ``stopped``: as by Ctrl-C, after which clean-ups work.
     ``full``: no file can be opened to be written from then on, since the disk is full.
@@ -58,7 +57,9 @@ class Stops:
         if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
             return
         self.count += 1
-        if event == "os.rename" and not any(part.startswith(".") for part in Path(arguments[1]).parts):
+        if event == "os.rename" and (
+            arguments[1] == "done.json" or ("/." not in arguments[1] and os.path.isabs(arguments[1]))
+        ):
             self.seen.append(self.count)
         if self.kind == "killed" and self.count >= self.at:
             raise Killed
@@ -99,88 +100,62 @@ def survey(tmp_path_factory):
     classes = np.where(house, 6, 5).astype(np.uint8)
     classes[::40], classes[7::40] = 9, 2
     for name, rows in (("west", x < 40), ("east", x >= 40)):
-        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-        las.header.scales, las.header.offsets = np.full(3, 0.01), np.array([500_000, 5_400_000, 0])
-        las.x, las.y, las.z = x[rows] + 500_000, y[rows] + 5_400_000, z[rows]
-        las.classification = classes[rows]
-        las.write(folder / f"{name}.laz")
+        xyz = np.column_stack([x, y, z])[rows] + [500_000, 5_400_000, 0]
+        las_of(folder / f"{name}.laz", xyz, classification=classes[rows])
     return folder
-
-
-def run_of(**options):
-    return jf.RunOptions(workers=1, tile=30.0, wide_halos=True, halo=20.0, **options)
 
 
 READING = jf.Reading(units="m")
 
 
+def options_of(many, **how):
+    """Of a run in several tiles, or in one."""
+    return jf.RunOptions(workers=1, **({"tile": 45.0, "wide_halos": True, "halo": 20.0} if many else {}), **how)
+
+
 def in_place(function, *arguments, **options):
-    """A command that writes its inputs: all files, and the east one alone, which is one tile."""
+    """A command that writes its inputs: all files, or the east one alone, which is one tile."""
 
-    def of(many):
-        def act(folder, **how):
-            what = folder if many else folder / "east.laz"
-            run = run_of(in_place=True, **how) if many else jf.RunOptions(workers=1, in_place=True, **how)
-            return function(what, None, *arguments, reading=READING, run=run, **options)
+    def act(folder, many, **how):
+        what, run = folder if many else folder / "east.laz", options_of(many, in_place=True, **how)
+        return function(what, None, *arguments, reading=READING, run=run, **options)
 
-        return act
-
-    return of
+    return act
 
 
-def into(function, *arguments, **options):
+def into(function, *arguments, review=None, **options):
     """A command that writes other files."""
 
-    def of(many):
-        def act(folder, **how):
-            what, out = (folder, folder / "out") if many else (folder / "east.laz", folder / "out.laz")
-            run = run_of(**how) if many else jf.RunOptions(workers=1, **how)
-            more = {name: folder / file for name, file in options.items() if name == "review"}
-            return function(what, out, *arguments, reading=READING, run=run, **(options | more))
+    def act(folder, many, **how):
+        what, out = (folder, folder / "out") if many else (folder / "east.laz", folder / "out.laz")
+        more = options | ({} if review is None else {"review": folder / review})
+        return function(what, out, *arguments, reading=READING, run=options_of(many, **how), **more)
 
-        return act
-
-    return of
+    return act
 
 
-def verdicts(many):
+def verdicts(folder, many, **how):
     shape = shapely.box(500_028, 5_400_013, 500_045, 5_400_029)
     table = geopandas.GeoDataFrame({"verdict": ["ground"]}, geometry=[shape], crs="EPSG:25832")
-
-    def act(folder, **how):
-        reading = jf.Reading(units="m", crs="EPSG:25832")
-        return jf.apply_survey(
-            table, folder if many else folder / "west.laz", reading=reading, run=jf.RunOptions(workers=1, **how)
-        )
-
-    return act
+    reading, run = jf.Reading(units="m", crs="EPSG:25832"), jf.RunOptions(workers=1, **how)
+    return jf.apply_survey(table, folder if many else folder / "west.laz", reading=reading, run=run)
 
 
-def products(many):
-    def act(folder, **how):
-        what = [folder / "west.laz", folder / "east.laz"] if many else folder / "east.laz"
-        run = run_of(**how) if many else jf.RunOptions(workers=1, **how)
-        only = ["dtm", "hillshade"]
-        return jf.products(what, folder / "made", FILTER, only=only, cell=4.0, reading=READING, run=run)
-
-    return act
+def products(folder, many, **how):
+    what = [folder / "west.laz", folder / "east.laz"] if many else folder / "east.laz"
+    options = {"only": ["dtm", "hillshade"], "cell": 4.0, "reading": READING}
+    return jf.products(what, folder / "made", FILTER, **options, run=options_of(many, **how))
 
 
 USGS = jf.Classes.preset("usgs")
 COMMANDS = {
-    "ground-in-place": in_place(jf.ground, FILTER),
-    "ground-in-place-usgs": in_place(jf.ground, FILTER, classes=USGS),
-    "ground-in-place-las14": in_place(jf.ground, FILTER, classes=jf.Classes.preset("las14")),
-    "ground-in-place-reset": in_place(jf.ground, FILTER, classes=jf.Classes(reset="all", noise_class=7)),
-    "heights-in-place-of-z": in_place(jf.heights, FILTER, replace_z=True),
-    "heights-in-place": in_place(jf.heights),
+    "ground-in-place": in_place(jf.ground, FILTER, classes=USGS),
+    "heights-in-place": in_place(jf.heights, FILTER, replace_z=True),
     "ground": into(jf.ground, FILTER, classes=USGS, review="places.geojson"),
     "heights": into(jf.heights, FILTER, replace_z=True),
     "apply": verdicts,
     "products": products,
 }
-SLOW = ("ground-in-place", "ground-in-place-las14", "ground-in-place-reset", "heights-in-place")
-"""Others do the same with more."""
 FEW = 3
 """Without --slow so many changes of a run are tried, and those beside the names that users see, of runs into other files only
 the first; with it all are."""
@@ -200,6 +175,11 @@ def contents(folder):
     return found
 
 
+def copy_of(survey, work):
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(survey, work)
+
+
 def left_over(folder):
     """Hidden files and folders that a run in place has left."""
     return [path for path in folder.rglob(".*") if "out" not in path.parts and "made" not in path.parts]
@@ -207,92 +187,78 @@ def left_over(folder):
 
 @pytest.mark.parametrize("kind", ["killed", "stopped", "full"])
 @pytest.mark.parametrize("many", [True, False], ids=["tiles", "one"])
-@pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in COMMANDS]
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_run_that_is_stopped_at_any_change_of_a_file_and_resumed_has_the_files_of_another(
     survey, tmp_path, request, command, many, kind
 ):
-    act, work = COMMANDS[command](many), tmp_path / "work"
-    slow = request.config.getoption("--slow")
+    work, slow = tmp_path / "work", request.config.getoption("--slow")
 
-    def anew():
-        shutil.rmtree(work, ignore_errors=True)
-        shutil.copytree(survey, work)
+    def act(**how):
+        return COMMANDS[command](work, many, **how)
 
-    anew()
+    copy_of(survey, work)
     with STOPS.below(work):
-        act(work)
+        act()
     changes, seen, expected, before = STOPS.count, STOPS.seen, contents(work), contents(survey)
     assert changes > 10 and expected != before
     spread = {round(one) for one in np.linspace(1, changes, changes if slow else FEW)}
     seen = seen if "in-place" in command else seen[:1]
     for at in sorted(spread | {change + step for change in seen for step in (0, 1) if change + step <= changes}):
-        anew()
+        copy_of(survey, work)
         with STOPS.below(work, kind, at):
-            act(work)
+            act()
         if "in-place" in command and not all(path.exists() for path in (work / "west.laz", work / "east.laz")):
             pytest.fail(f"an input is gone at change {at}")
-        act(work, resume=True)
+        act(resume=True)
         assert contents(work) == expected, f"{kind} before change {at} of {changes}"
         if "in-place" in command or command == "apply":
             assert left_over(work) == [], f"{kind} before change {at} of {changes}"
-        act(work, resume=True)  # what is complete stays as it is
+        act(resume=True)  # what is complete stays as it is
         assert contents(work) == expected, f"{kind} before change {at} of {changes}, resumed twice"
 
 
 def test_a_complete_run_in_place_is_not_begun_anew_and_new_files_are_not_passed_over(survey, tmp_path):
-    work = tmp_path / "work"
-    shutil.copytree(survey, work)
-    act = COMMANDS["heights-in-place-of-z"](True)
-    act(work)
+    work, act = tmp_path / "work", COMMANDS["heights-in-place"]
+    copy_of(survey, work)
+    act(work, True)
     done = contents(work)
-    assert act(work, resume=True).was_complete and contents(work) == done
+    assert act(work, True, resume=True).was_complete and contents(work) == done
     shutil.copy(survey / "east.laz", work / "new.laz")
     with pytest.raises(jf.InputError, match=r"new\.laz: is new or was changed"):
-        act(work, resume=True)
+        act(work, True, resume=True)
     (work / "new.laz").unlink()
     for name in ("west.laz", "east.laz"):  # all files are others: the run is a new one
         shutil.copy(survey / name, work / name)
-    assert not act(work, resume=True).was_complete and contents(work) == done
+    assert not act(work, True, resume=True).was_complete and contents(work) == done
     shutil.copy(survey / "east.laz", work / "east.laz")
     with pytest.raises(jf.InputError, match=r"east\.laz: is new or was changed"):
-        act(work, resume=True)
+        act(work, True, resume=True)
 
 
 def test_an_input_that_changes_after_all_is_written_is_not_replaced(survey, tmp_path):
-    work = tmp_path / "work"
-    shutil.copytree(survey, work)
-    act = COMMANDS["heights-in-place-of-z"](True)
+    work, act = tmp_path / "work", COMMANDS["heights-in-place"]
+    copy_of(survey, work)
     with STOPS.below(work):
-        act(work)
-    changes = STOPS.count
-    for at in range(1, changes + 1):
-        shutil.rmtree(work)
-        shutil.copytree(survey, work)
-        with STOPS.below(work, "killed", at):
-            act(work)
-        if (work / ".jaxfilter-run" / "done.json").exists() and las_is(work / "east.laz", survey / "east.laz"):
-            break
-    other = (work / "east.laz").read_bytes()[:-1] + b"?"
-    (work / "east.laz").write_bytes(other)
+        act(work, True)
+    copy_of(survey, work)
+    with STOPS.below(work, "killed", STOPS.seen[1]):  # the first input is about to be replaced
+        act(work, True)
+    before = (survey / "east.laz").read_bytes()
+    assert (work / ".jaxfilter-run" / "done.json").exists() and (work / "east.laz").read_bytes() == before
+    (work / "east.laz").write_bytes(before[:-1] + b"?")
     with pytest.raises(jf.InputError, match=r"east\.laz: was changed after the run in place"):
-        act(work, resume=True)
+        act(work, True, resume=True)
     with pytest.raises(jf.OutputError, match="pass resume=True"):
-        act(work, overwrite=True)
-    assert (work / "east.laz").read_bytes() == other
-
-
-def las_is(one, other):
-    return one.read_bytes() == other.read_bytes()
+        act(work, True, overwrite=True)
+    assert (work / "east.laz").read_bytes() == before[:-1] + b"?"
 
 
 def test_inputs_in_a_store_are_replaced_once(survey, tmp_path):
     store = fsspec.filesystem("memory")
     store.pipe("/in-place/east.laz", (survey / "east.laz").read_bytes())
     local = tmp_path / "work"
-    shutil.copytree(survey, local)
-    COMMANDS["heights-in-place-of-z"](False)(local)
+    copy_of(survey, local)
+    COMMANDS["heights-in-place"](local, False)
 
     def act(**how):
         run = jf.RunOptions(workers=1, in_place=True, **how)
@@ -306,11 +272,11 @@ def test_inputs_in_a_store_are_replaced_once(survey, tmp_path):
 
 def test_room_for_all_outputs_is_needed_before_one_is_written(survey, tmp_path, monkeypatch):
     work = tmp_path / "work"
-    shutil.copytree(survey, work)
+    copy_of(survey, work)
     needed, usage = sum(path.stat().st_size for path in survey.iterdir()), shutil.disk_usage(work)
     free = needed // 2
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage._replace(free=free))
     words = f"{needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free, {(needed - free) / 1e9:.3g} GB are missing"
     with pytest.raises(jf.OutputError, match=re.escape(words)):
-        COMMANDS["heights-in-place-of-z"](True)(work)
+        COMMANDS["heights-in-place"](work, True)
     assert contents(work) == contents(survey)

@@ -10,15 +10,13 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from las_files import las_of
 from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.surveys.tiles import read_tile
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
-]
+pytestmark = [pytest.mark.usefixtures("plain_maps"), pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")]
 PMF = jf.PMF(max_window=10.0, low_clusters=False)
 BORDER = 160.0
 
@@ -31,12 +29,9 @@ def survey(tmp_path_factory):
     xyz, cloud = scene.xyz, scene.cloud
     west = xyz[:, 0] < xyz[:, 0].min() + BORDER
     for name, rows in (("west", west), ("east", ~west)):
-        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-        las.header.scales, las.header.offsets = np.full(3, 0.01), np.floor(xyz.min(axis=0))
-        las.x, las.y, las.z = xyz[rows].T
-        las.return_number, las.number_of_returns = cloud.return_number[rows], cloud.number_of_returns[rows]
-        las.classification = np.where(np.flatnonzero(rows) % 40 == 0, 9, 5)
-        las.write(folder / f"{name}.las")
+        fields = {"return_number": cloud.return_number[rows], "number_of_returns": cloud.number_of_returns[rows]}
+        fields["classification"] = np.where(np.flatnonzero(rows) % 40 == 0, 9, 5)
+        las_of(folder / f"{name}.las", xyz[rows], offsets=np.floor(xyz.min(axis=0)), **fields)
     return folder
 
 
@@ -48,21 +43,14 @@ def classes_of(path):
     return np.asarray(laspy.read(path).classification)
 
 
-def las_of(folder):
+def las_of_folder(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.la[sz]"))}
 
 
-@pytest.mark.parametrize(
-    "filter_",
-    [
-        pytest.param(jf.SMRF(window=9.0), marks=pytest.mark.slow),
-        pytest.param(PMF, marks=pytest.mark.slow),
-        jf.PTD(seed_cell=12.0, low_clusters=False),
-        jf.STIN(seed_cell=10.0),
-        pytest.param(jf.OST(window=6.0, landscape=8.0), marks=pytest.mark.slow),
-    ],
-    ids=lambda one: type(one).__name__,
-)
+@pytest.mark.parametrize("filter_", [
+    jf.PTD(seed_cell=12.0, low_clusters=False), jf.STIN(seed_cell=10.0),
+    *[pytest.param(one, marks=pytest.mark.slow) for one in (jf.SMRF(window=9.0), PMF, jf.OST(window=6.0, landscape=8.0))],
+], ids=lambda one: type(one).__name__)  # fmt: skip
 def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folder_of_tiles(survey, tmp_path, filter_):
     """Windows have 100 m of halo: OST needs more than the default."""
     tiles = {"tile": 70.0, "halo": 100.0, "wide_halos": True}
@@ -86,20 +74,16 @@ def test_measures_of_another_run_are_taken_as_they_are(survey, tmp_path):
         return jf.ground(survey, tmp_path / name, jf.STIN(seed_cell=12.0), run=run).measures
 
     first = made("first")
-    assert made("same", first) == first and las_of(tmp_path / "same") == las_of(tmp_path / "first")
+    assert made("same", first) == first and las_of_folder(tmp_path / "same") == las_of_folder(tmp_path / "first")
     fewer = first | {"rounds": (1,) * len(first["rounds"])}
-    assert made("fewer", fewer) == fewer and las_of(tmp_path / "fewer") != las_of(tmp_path / "first")
+    assert made("fewer", fewer) == fewer and las_of_folder(tmp_path / "fewer") != las_of_folder(tmp_path / "first")
 
 
 def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
     """Points lie four times as dense in the middle, where a sample would look."""
     rng = np.random.default_rng(5)
     x, y = np.concatenate([rng.uniform(0, 300, (24_000, 2)), rng.uniform(100, 200, (8_000, 2))]).round(2).T
-    las = laspy.create(point_format=6, file_version="1.4")
-    las.header.scales = [0.01] * 3
-    las.x, las.y, las.z = x, y, np.sin(x / 20) + (rng.random(len(x)) < 0.2) * 4
-    las.return_number[:] = las.number_of_returns[:] = 1
-    las.write(tmp_path / "in.las")
+    las_of(tmp_path / "in.las", np.column_stack([x, y, np.sin(x / 20) + (rng.random(len(x)) < 0.2) * 4]))
     cloud = jf.read(tmp_path / "in.las", units="m")
     how = jf.RunOptions(tile=150.0, halo=20.0, workers=1)
     found = jf.ground(tmp_path / "in.las", tmp_path / "out.las", PMF, reading=jf.Reading(units="m"), run=how)
@@ -115,19 +99,15 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
-    ways = {
-        "one": {"workers": 1},
-        "two": {"workers": 2},
-        "little": {"memory": 4e8},
-        "much": {"memory": 1e12, "workers": 1},
-    }
+    ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}}
+    ways["much"] = {"memory": 1e12, "workers": 1}
     for name, how in ways.items():
         report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
         assert report.complete and report.tiles > 1
     digests = {facts_of(tmp_path / name)["tiles"]["digest"] for name in ways}
     assert len(digests) == 1
-    same = las_of(tmp_path / "one")
-    assert all(las_of(tmp_path / name) == same for name in ways)
+    same = las_of_folder(tmp_path / "one")
+    assert all(las_of_folder(tmp_path / name) == same for name in ways)
 
 
 FIELDS = ("--max-window", 10, "--no-low-clusters")
@@ -143,21 +123,8 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     x, y = before.x.min(), before.y.min()
     box = (x + 20, y + 10, x + (200 if several else 100), y + 50)
     tiles = ("--tile", 50, "--wide-halos") if several else ()
-    done = run(
-        "ground",
-        "pmf",
-        where,
-        out,
-        *FIELDS,
-        "--bounds",
-        *box,
-        "--only-ground",
-        "--json",
-        "--quiet",
-        *tiles,
-        "--workers",
-        1,
-    )
+    words = ("ground", "pmf", where, out, *FIELDS, "--bounds", *box, "--only-ground", *tiles, "--workers", 1)
+    done = run(*words, "--json", "--quiet")
     assert done.exit_code == 0, done.output
     report = json.loads(done.stdout)
     inside = (before.x >= box[0]) & (before.x < box[2]) & (before.y >= box[1]) & (before.y < box[3])
@@ -172,32 +139,23 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     cloud = jf.read(survey / "west.las", units="m", bounds=box)
     if not several:
         np.testing.assert_array_equal(new == 2, PMF(cloud).ground)
-    more = ("--resume",) if several else ("--overwrite",)
     same = west.read_bytes()
-    again = run("ground", "pmf", where, out, *FIELDS, "--bounds", *box, "--only-ground", *more, *tiles, "--workers", 1)
-    assert (
-        again.exit_code == 0
-        and west.read_bytes() == same
-        and f"{report['ground']:,} of {report['points']:,}" in again.stdout
-    )
+    again = run(*words, "--resume" if several else "--overwrite")
+    assert again.exit_code == 0 and west.read_bytes() == same
+    assert f"{report['ground']:,} of {report['points']:,}" in again.stdout
 
 
-@pytest.mark.parametrize("several", [False, True], ids=["file", "folder"])
-def test_places_to_look_at_are_listed_for_one_file_and_for_many(survey, tmp_path, several):
+def test_places_to_look_at_are_listed_for_a_folder(survey, tmp_path):
     pytest.importorskip("geopandas")
-    where, out = (survey, tmp_path / "out") if several else (survey / "west.las", tmp_path / "west.las")
-    words = ("--window", 6, "--landscape", 8, "--slope", 0.01, "--relief", 0, "--max-angle", 1)  # much ground is lost
-    words += ("--review", tmp_path / "places.geojson")
-    tiles = ("--tile", 60, "--wide-halos", "--workers", 1) if several else ()
-    done = run("ground", "ost", where, out, *words, *tiles, "--json", "--quiet")
+    words = ("ground", "pmf", survey, tmp_path / "out", "--max-window", 3, "--review", tmp_path / "places.geojson")
+    done = run(*words, "--tile", 60, "--wide-halos", "--workers", 1, "--json", "--quiet")
     assert done.exit_code == 0, done.output
     listed = json.loads(done.stdout)["places"]
     places = json.loads((tmp_path / "places.geojson").read_text())["features"]
     assert len(places) == len(listed) > 0
-    assert [place["properties"]["volume"] for place in places] == pytest.approx(
-        [one["volume"] for one in listed], rel=1e-3
-    )
-    refused = run("ground", "ost", where, tmp_path / "b", *words)
+    volumes = [place["properties"]["volume"] for place in places]
+    assert volumes == pytest.approx([one["volume"] for one in listed], rel=1e-3)
+    refused = run(*words)
     assert refused.exit_code == 2 and "places.geojson exists" in refused.stderr
 
 
@@ -208,46 +166,37 @@ def test_a_folder_is_classified_in_place(survey, tmp_path):
     assert run("ground", "pmf", files, out, *how).exit_code == 0
     done = run("ground", "pmf", files, "--in-place", *how, "--json", "--quiet")
     assert done.exit_code == 0, done.output
-    assert las_of(files) == las_of(out) and json.loads(done.stdout)["output"] == str(files)
+    assert las_of_folder(files) == las_of_folder(out) and json.loads(done.stdout)["output"] == str(files)
     assert sorted(path.name for path in files.iterdir()) == ["east.las", "west.las"]
     assert run("height", files / "west.las", files / "east.las", "--in-place", "--quiet").exit_code == 0
     assert all("HeightAboveGround" in laspy.read(path).point_format.dimension_names for path in files.iterdir())
 
 
-def text_of(las, path):
-    np.savetxt(
-        path, np.column_stack([las.xyz, las.intensity]), fmt="%.2f", delimiter=",", header="x,y,z,i", comments=""
-    )
-
-
 @pytest.mark.slow
-def test_text_alone_and_beside_las(survey, tmp_path):
+def test_text_beside_las(survey, tmp_path):
     """Text has the labels that its points have as LAS, with the neighbour in another format."""
     las = laspy.read(survey / "east.las")
     las.classification[:], las.return_number[:], las.number_of_returns[:] = 0, 1, 1
     plain = tmp_path / "east.las"
     las.write(plain)
-    text_of(las, tmp_path / "east.csv")
-    for neighbours in ((), (survey / "west.las",)):
-        labels = {}
-        for source in (plain, tmp_path / "east.csv"):
-            out = tmp_path / f"out-{len(neighbours)}-{source.suffix[1:]}"
-            done = run(
-                "ground", "pmf", *neighbours, source, f"{out}/", *FIELDS, "--tile", 50, "--workers", 1, "--json", "-q"
-            )
-            assert done.exit_code == 0, done.output
-            report = json.loads(done.stdout)
-            assert report["complete"] and len(report["files"]) == 1 + len(neighbours) and report["tiles"] > 4
-            cloud = jf.read(out / source.name, units="m")
-            labels[source.suffix] = cloud.reference
-        np.testing.assert_array_equal(labels[".las"], labels[".csv"])
-        assert 0.1 < labels[".csv"].mean() < 0.98
-    lines = (tmp_path / "out-1-csv" / "east.csv").read_text().splitlines()
+    table = np.column_stack([las.xyz, las.intensity])
+    np.savetxt(tmp_path / "east.csv", table, fmt="%.2f", delimiter=",", header="x,y,z,i", comments="")
+    labels = {}
+    for source in (plain, tmp_path / "east.csv"):
+        out = tmp_path / f"out-{source.suffix[1:]}"
+        how = (*FIELDS, "--tile", 50, "--workers", 1, "--json", "-q")
+        done = run("ground", "pmf", survey / "west.las", source, f"{out}/", *how)
+        assert done.exit_code == 0, done.output
+        report = json.loads(done.stdout)
+        assert report["complete"] and len(report["files"]) == 2 and report["tiles"] > 4
+        labels[source.suffix] = jf.read(out / source.name, units="m").reference
+    np.testing.assert_array_equal(labels[".las"], labels[".csv"])
+    assert 0.1 < labels[".csv"].mean() < 0.98
+    lines = (tmp_path / "out-csv" / "east.csv").read_text().splitlines()
     before = (tmp_path / "east.csv").read_text().splitlines()
     assert [line.rpartition(",")[0] for line in lines[1:]] == before[1:]
-    model = run(
-        "dtm", survey / "west.las", tmp_path / "out-1-csv" / "east.csv", tmp_path / "dtm.tif", "--filter", "pmf"
-    )
+    csv = tmp_path / "out-csv" / "east.csv"
+    model = run("dtm", survey / "west.las", csv, tmp_path / "dtm.tif", "--filter", "pmf")
     assert model.exit_code == 0 and np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
 
 
@@ -265,6 +214,11 @@ class Dies(Here):
         return found
 
 
+def in_place(files, **how):
+    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, **how)
+    return jf.ground(files, None, PMF, run=options)
+
+
 @pytest.mark.parametrize("function, after", [("do_tile", 3), ("write_file", 1), ("write_file", 2)])
 def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after):
     """No input is replaced before all outputs are written, and nothing is left in the end."""
@@ -272,55 +226,14 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
     shutil.copytree(survey, files)
     jf.ground(survey, out, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, workers=1))
     with pytest.raises(KeyboardInterrupt):
-        jf.ground(
-            files,
-            None,
-            PMF,
-            run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, executor=Dies(function, after)),
-        )
-    expected = las_of(out)
-    assert las_of(files) == las_of(survey)
+        in_place(files, executor=Dies(function, after))
+    assert las_of_folder(files) == las_of_folder(survey)
     with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
-        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True))
+        in_place(files)
     executor = Here()
-    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, resume=True, executor=executor)
-    assert jf.ground(files, None, PMF, run=options).complete
-    assert las_of(files) == expected and sorted(p.name for p in files.iterdir()) == ["east.las", "west.las"]
+    assert in_place(files, resume=True, executor=executor).complete
+    assert las_of_folder(files) == las_of_folder(out) and len(list(files.iterdir())) == 2
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
-
-
-def test_an_input_that_changes_behind_a_run_in_place_is_noticed(survey, tmp_path):
-    files = tmp_path / "files"
-    shutil.copytree(survey, files)
-    with pytest.raises(KeyboardInterrupt):
-        jf.ground(
-            files, None, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, executor=Dies("do_tile", 3))
-        )
-    las = laspy.read(files / "west.las")
-    las.z[0] += 1.0
-    las.write(files / "west.las")
-    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, resume=True, executor=Here())
-    with pytest.raises(jf.InputError, match="begun with other inputs"):
-        jf.ground(files, None, PMF, run=options)
-
-
-@pytest.mark.parametrize("point", ["tile", "file"])
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_a_file_that_is_stopped_leaves_nothing_that_the_next_run_trips_over(
-    survey, tmp_path, monkeypatch, point, error
-):
-    out = tmp_path / "west.las"
-
-    def fails(*arguments):
-        raise error
-
-    with monkeypatch.context() as patch:
-        patch.setattr(f"jaxfilter.surveys.ground.GroundProduct.{point}", fails)
-        with pytest.raises((error, jf.JaxfilterError)):
-            jf.ground(survey / "west.las", out, PMF)
-    assert list(tmp_path.iterdir()) == []
-    assert jf.ground(survey / "west.las", out, PMF).complete
-    assert [path.name for path in tmp_path.iterdir()] == ["west.las"]
 
 
 def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(survey, tmp_path):
@@ -346,36 +259,15 @@ def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(surve
         assert ("do_tile", 0) not in executor.calls or "resume" not in how
 
 
-def test_bounds_in_place_are_refused_since_points_would_be_lost(tmp_path):
-    jf.write(tmp_path / "in.laz", jf.scenes.make("town", size=40, density=1, seed=2).cloud, None)
-    before = (tmp_path / "in.laz").read_bytes()
-    reading = jf.Reading(bounds=(512000, 5403000, 512020, 5403020))
+def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):
+    path = shutil.copy(survey / "west.las", tmp_path)
     for function in (jf.ground, jf.heights):
         with pytest.raises(jf.ParameterError, match="would remove all points outside"):
-            function(tmp_path / "in.laz", None, jf.SMRF(), reading=reading, run=jf.RunOptions(in_place=True))
-    assert (tmp_path / "in.laz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
-
-
-@pytest.mark.slow
-def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monkeypatch):
-    cloud = jf.scenes.make("town", size=90, density=1, seed=2).cloud
-    jf.write(tmp_path / "in.laz", cloud, None)
-    seen = []
-
-    def watched(tile, *how):
-        seen.append(tile.window)
-        return read_tile(tile, *how)
-
-    monkeypatch.setattr("jaxfilter.surveys.product.read_tile", watched)
-    for halo in (10.0, 30.0):
-        run, reading = (
-            jf.RunOptions(tile=30.0, wide_halos=True, halo=halo, workers=1, overwrite=True),
-            jf.Reading(units="m"),
-        )
-        jf.heights(tmp_path / "in.laz", tmp_path / "out", jf.SMRF(), run=run, reading=reading)
-    first = seen[0], seen[len(seen) // 2]
-    widths = [window[2] - window[0] for window in first]
-    assert widths[1] - widths[0] == pytest.approx(40.0, abs=2.0)
+            function(path, None, PMF, reading=jf.Reading(bounds=(0, 0, 20, 20)), run=jf.RunOptions(in_place=True))
+    assert (
+        las_of_folder(tmp_path) == {"west.las": (survey / "west.las").read_bytes()}
+        and len(list(tmp_path.iterdir())) == 1
+    )
 
 
 def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
@@ -386,10 +278,10 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
         "heights": lambda **more: jf.heights(survey, tmp_path / "heights", PMF, run=jf.RunOptions(**how, **more)),
         "model": lambda **more: jf.terrain_model(survey, tmp_path / "dtm.tif", PMF, run=jf.RunOptions(**how, **more)),
     }
-    for name, run in runs.items():
-        plan = run(dry_run=True).forecast
+    for name, act in runs.items():
+        plan = act(dry_run=True).forecast
         assert sorted(tmp_path.rglob("*")) == before, name
-        done = run()
+        done = act()
         assert (plan.points, plan.tiles, sorted(plan.files)) == (done.points, done.tiles, done.files), name
         assert plan.times_read == pytest.approx(done.read / done.points, rel=0.25), "by mean densities of the files"
         assert 0 < plan.seconds < 60 and plan.memory > 3e8 and plan.workers == 1 and done.forecast is None
@@ -397,9 +289,8 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
         before = sorted(tmp_path.rglob("*"))
     with pytest.raises(jf.OutputError, match="exists"):
         runs["model"](dry_run=True)
-    result = CliRunner().invoke(
-        main, ["ground", "pmf", str(survey), str(tmp_path / "new"), "--tile", "80", "--wide-halos", "--dry-run"]
-    )
+    assert runs["heights"](dry_run=True, overwrite=True, halo=60.0).forecast.times_read > 2
+    result = run("ground", "pmf", survey, tmp_path / "new", "--tile", 80, "--wide-halos", "--dry-run")
     assert result.exit_code == 0 and "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -430,46 +321,17 @@ def held(folder):
     return found
 
 
-def one_file(survey, d):
-    return ["ground", "pmf", survey / "west.las", d / "out.laz"]
+def in_folder(survey, d, name=""):
+    shutil.copytree(survey, d, dirs_exist_ok=True)
+    return ["ground", "pmf", d / name, "--in-place"]
 
 
-def folder_of_files(survey, d):
-    return ["ground", "pmf", survey, f"{d}/"]
-
-
-def file_in_place(survey, d):
-    return ["ground", "pmf", shutil.copy(survey / "west.las", d), "--in-place"]
-
-
-def folder_in_place(survey, d):
-    for name in ("west.las", "east.las"):
-        shutil.copy(survey / name, d)
-    return ["ground", "pmf", d, "--in-place"]
-
-
-def points(survey, d):
-    return ["info", survey, "--vpc", d / "all.vpc"]
-
-
-RUNS = [
-    pytest.param(".out.laz.jaxfilter-run", one_file, id="one"),
-    pytest.param(".jaxfilter-run", folder_of_files, id="folder"),
-    pytest.param(".west.las.jaxfilter-run", file_in_place, id="one in place"),
-    pytest.param(".jaxfilter-run", folder_in_place, id="folder in place"),
-]
-
-
-def link(place, folder):
-    place.symlink_to(folder)
-
-
-def link_to_nothing(place, folder):
-    place.symlink_to(folder / "missing")
-
-
-def plain_file(place, folder):
-    place.write_text("mine")
+RUNS = {
+    "one": (".out.laz.jaxfilter-run", lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"]),
+    "folder": (".jaxfilter-run", lambda survey, d: ["ground", "pmf", survey, f"{d}/"]),
+    "one in place": (".west.las.jaxfilter-run", lambda survey, d: in_folder(survey, d, "west.las")),
+    "folder in place": (".jaxfilter-run", in_folder),
+}  # fmt: skip
 
 
 def of_another(place, folder):
@@ -490,30 +352,34 @@ def own_open_to_others(place, folder):
     place.chmod(0o775)
 
 
-KINDS = [link, link_to_nothing, plain_file, of_another, open_to_others, own_open_to_others]
+KINDS = {
+    "link": lambda place, folder: place.symlink_to(folder),
+    "link to nothing": lambda place, folder: place.symlink_to(folder / "missing"),
+    "plain file": lambda place, folder: place.write_text("mine"),
+    "of another": of_another, "open to others": open_to_others, "own, open to others": own_open_to_others,
+}  # fmt: skip
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
 @pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
-@pytest.mark.parametrize("plant", KINDS)
-@pytest.mark.parametrize("name, words", RUNS)
-def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(
-    survey, tmp_path, elsewhere, name, words, plant, how
-):
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("what", RUNS)
+def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, what, kind, how):
     """Whatever it is, it stays, and so does what it leads to."""
+    name, words = RUNS[what]
     d, (folder, content) = tmp_path / "d", elsewhere
     d.mkdir()
-    plant(d / name, folder)
+    KINDS[kind](d / name, folder)
     command = words(survey, d)
     before, beside = content(), held(d)
     done = run(*command, *filter(None, [how]))
     assert done.exit_code in (1, 2) and f"{d / name}: " in done.stderr and "remove it" in done.stderr, done.output
-    assert content() == before and {k: v for k, v in held(d).items() if k != "."} == {
-        k: v for k, v in beside.items() if k != "."
-    }
+    assert content() == before and held(d) | {".": None} == beside | {".": None}
 
 
-@pytest.mark.parametrize("words", [one_file, file_in_place, points])
+@pytest.mark.parametrize("words", [
+    RUNS["one"][1], RUNS["one in place"][1], lambda survey, d: ["info", survey, "--vpc", d / "all.vpc"],
+], ids=["one", "one in place", "points"])  # fmt: skip
 def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp_path, elsewhere, words):
     d, (folder, content) = tmp_path / "d", elsewhere
     d.mkdir()
@@ -525,13 +391,19 @@ def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp
     assert (d / ".jaxfilter-00000000-00000000").is_symlink()
 
 
+def stopped(survey, out):
+    """Options of a run that is stopped after two tasks."""
+    how = {"tile": 60.0, "wide_halos": True}
+    with pytest.raises(KeyboardInterrupt):
+        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(stop_after=2), **how))
+    return how
+
+
 @pytest.mark.parametrize("name", ["tiles", "tiles/0", "files", "index", "lock", "run.json", "tiles/0/planted.tile"])
 def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhere, name):
     """To go on with such a run is refused; to begin anew leaves what they lead to as it is."""
     out, (folder, content) = tmp_path / "out", elsewhere
-    how = {"tile": 60.0, "wide_halos": True}
-    with pytest.raises(KeyboardInterrupt):
-        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(stop_after=2), **how))
+    how = stopped(survey, out)
     place = out / ".jaxfilter-run" / name
     if place.is_dir():
         shutil.rmtree(place)
@@ -550,9 +422,7 @@ def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhe
 @pytest.mark.parametrize("how", ["resume", "overwrite"])
 def test_hard_links_in_the_folder_of_a_run_change_nothing_elsewhere(survey, tmp_path, elsewhere, how):
     out, (folder, _) = tmp_path / "out", elsewhere
-    some = {"tile": 60.0, "wide_halos": True}
-    with pytest.raises(KeyboardInterrupt):
-        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(stop_after=2), **some))
+    some = stopped(survey, out)
     kept = out / ".jaxfilter-run"
     for place in [path for path in kept.rglob("*") if path.is_file()]:
         other = folder / place.name

@@ -39,17 +39,6 @@ def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
     assert (filter_(moved).ground == expected[order]).all()
 
 
-@pytest.mark.parametrize("name", ["removed", "tails"])
-def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
-    filter_ = SWITCHED[name]
-    field = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
-    values = [0.5 * getattr(filter_, field), getattr(filter_, field)]
-    cloud = jf.PointCloud.from_arrays(hills, reference=np.arange(len(hills)) % 2 == 0)
-    found = jf.sweep(filter_, cloud, {field: values}).ground.values
-    assert found.tolist() == [filter_.replace(**{field: v})(cloud).ground.sum() for v in values]
-    assert found[0] != found[1]
-
-
 def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other():
     rng = np.random.default_rng(0)
     xy = rng.integers(0, 30, (1500, 2)).astype(float)

@@ -63,30 +63,14 @@ class Line:
     def __bytes__(self):
         if self.cells is None:
             return self.lead + self.ending
-        return (
-            self.lead
-            + b"".join(map(bytes.__add__, map(bytes, self.cells), [*self.separators, b""]))
-            + self.tail
-            + self.ending
-        )
+        cells = b"".join(map(bytes.__add__, map(bytes, self.cells), [*self.separators, b""]))
+        return self.lead + cells + self.tail + self.ending
 
 
 COMMENTS = [b"#", b"# half way", b'  # 1,2,3 "', b"#;,\t\xff", b'\t#"', b"# x and y", b"", b"  ", b" \t"]
 WORDS = [b"oak", b"caf\xc3\xa9", b"\xe9\xa0\x85\xff", b"5'", b'6"', b"b#7", b"1_000", b"nan", b"1.5", b"\\"]
-QUOTED = [
-    b"oak, old",
-    b"a;b",
-    b"a b",
-    b"a\tb",
-    b'5"" pipe',
-    b'""',
-    b'"",1,""',
-    b"#1",
-    b" ",
-    b"",
-    b"caf\xe9, \x85",
-    b"7",
-]
+QUOTED = [b"oak, old", b"a;b", b"a b", b"a\tb", b'5"" pipe', b'""', b'"",1,""', b"#1", b" ", b"",
+          b"7", b"caf\xe9, \x85"]  # fmt: skip
 NAMES = {"word": [b"intensity", b'"a, b"', b"h\xf6he"], "label": [b"label", b'"Label"'], "x": [b"X", b"x"],
          "class": [b"class", b"Classification"]}  # fmt: skip
 
@@ -113,9 +97,8 @@ def files(draw):
         if name == "word" and draw(st.booleans()):
             return Cell(name, pick(pads) + b'"', pick(QUOTED), b'"' + pick(pads))
         if name == "word":
-            return Cell(
-                name, pick(pads), pick(WORDS + [b"", b"old oak", b'say "a"'] * (written is not None)), pick(pads)
-            )
+            words = WORDS + [b"", b"old oak", b'say "a"'] * (written is not None)
+            return Cell(name, pick(pads), pick(words), pick(pads))
         if name in "xyz":
             value = draw(st.integers(-999, 5000)) / 10**decimals
             core = pick([f"{value:.{decimals}f}", f"{value:+.{decimals}f}", f"{value:.8e}", f"{value:.12G}"]).encode()
@@ -209,9 +192,7 @@ def test_only_labels_change(made, mark, cut, block, seed):
     if delimiter is not None:  # Python's reader sees the same cells
         given = [line for line in lines if line.cells and not line.is_header]
         for point, line in zip(points, given, strict=True):
-            [cells] = csv.reader(
-                [bytes(line).decode("latin-1").rstrip("\r\n")], delimiter=delimiter.decode(), skipinitialspace=True
-            )
+            cells = cells_of(bytes(line), delimiter)
             assert [float(cells[columns.index(axis)]) for axis in "xyz"] == point.tolist() and len(cells) == len(
                 columns
             )
@@ -220,6 +201,8 @@ def test_only_labels_change(made, mark, cut, block, seed):
 @pytest.mark.parametrize("content, expected", [
     ("1.50 2 3\n4 5.0 6", "1.50 2 3 0\n4 5.0 6 1"),
     ("# made by hand\n\n1.50 2 3\n# half way\n4 5.0 6\n", "# made by hand\n\n1.50 2 3 0\n# half way\n4 5.0 6 1\n"),
+    ("# a\n" * 5000 + "1.50 2 3\n4 5 6\n", "# a\n" * 5000 + "1.50 2 3 0\n4 5 6 1\n"),
+    ("1.5\t2\t3\t1\r\n4.00\t5\t6\t0\r\n", "1.5\t2\t3\t0\r\n4.00\t5\t6\t1\r\n"),
     ("//X Y Z\n1.50 2 3\n4 5 6\n", "//X Y Z label\n1.50 2 3 0\n4 5 6 1\n"),
     ("x,y,z\n1.50,2,3\n4,5,6\n", "x,y,z,label\n1.50,2,3,0\n4,5,6,1\n"),
     ('"name";"X";"Y";"Z"\na;1.50;2;3\nb;4;5;6\n', '"name";"X";"Y";"Z";label\na;1.50;2;3;0\nb;4;5;6;1\n'),
@@ -242,15 +225,6 @@ def test_layouts(tmp_path, content, expected):
     assert written == expected.encode()
 
 
-def test_isprs_lines(tmp_path):
-    lines = ["512743.63\t5403547.33\t308.68\t0", "512743.60\t5403548.30\t308.7\t1", "512744.1\t5403549.33\t318.68\t1"]
-    cloud, written = rewrite(tmp_path, "\r\n".join(lines) + "\r\n", [False, True, False], "in.txt")
-    assert cloud.reference.tolist() == [True, False, False] and cloud.candidate.all()
-    np.testing.assert_allclose(cloud.coordinates()[:, 2], [308.68, 308.7, 318.68], atol=5e-4)
-    expected = "\r\n".join(line[:-1] + label for line, label in zip(lines, "101", strict=True)) + "\r\n"
-    assert written == expected.encode()
-
-
 def test_attributes(tmp_path):
     (tmp_path / "in.csv").write_text(
         "Return Number,NumberOfReturns,x,y,z,class,withheld,overlap\n"
@@ -263,19 +237,6 @@ def test_attributes(tmp_path):
     assert cloud.overlap.tolist() == cloud.in_overlap.tolist() == [True, False, True, False]
     assert not read(tmp_path / "in.csv", ignore_overlap=True).candidate.any()
     assert cloud.reference.tolist() == [False, True, True, False] and cloud.classification.tolist() == [1, 2, 2, 18]
-
-
-def test_in_blocks_and_cut(tmp_path, monkeypatch):
-    xyz = np.random.default_rng(0).integers(0, 1000, (200, 3)) / 10
-    np.savetxt(tmp_path / "in.csv", xyz, fmt="%.1f", delimiter=",", header="x,y,z")
-    monkeypatch.setattr(text, "_BLOCK", 99)
-    cloud = read(tmp_path / "in.csv", bounds=(20, 0, 70, 101))
-    keep = (xyz[:, 0] >= 20) & (xyz[:, 0] < 70)
-    np.testing.assert_allclose(cloud.coordinates(), xyz[keep], atol=5e-4)
-    ground = cloud.xyz[:, 1] > 50
-    write(tmp_path / "out.csv", cloud, ground)
-    out = np.genfromtxt(tmp_path / "out.csv", delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(out, np.column_stack([xyz[keep], ~ground]))
 
 
 # numbers
@@ -407,15 +368,3 @@ def test_no_points(tmp_path, content, expected):
         assert len(read(tmp_path / "out.csv")) == 0
     with pytest.warns(JaxfilterWarning, match="holds no points"):
         assert info(tmp_path / "in.csv")["bounds"] is None
-
-
-def test_points_behind_many_comments(tmp_path):
-    """They were once taken for a file without points."""
-    cloud, written = rewrite(tmp_path, "# a\n" * 5000 + "1 2 3\n", [True])
-    assert len(cloud) == 1 and written.endswith(b"# a\n1 2 3 0\n")
-
-
-def test_cut_to_nothing_can_be_read(tmp_path):
-    with pytest.warns(JaxfilterWarning, match="holds no points within bounds"):
-        _, written = rewrite(tmp_path, NAMED, [], bounds=(8, 8, 9, 9))
-    assert written == b"x,y,z,label\n"

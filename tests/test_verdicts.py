@@ -14,21 +14,19 @@ import pandas as pd
 import pyproj
 import pytest
 import shapely
-from click.testing import CliRunner
-from test_tiles_run import Here
+from commands import done, facts, run
 
 import jaxfilter as jf
-from jaxfilter.cli import main
+from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
 from jaxfilter.surveys import verdicts
 from jaxfilter.surveys.measures import Recipe, Sampler
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 UTM = pyproj.CRS.from_epsg(25832)
 WIDE, HIGH = 160.0, 120.0
+ONE = jf.RunOptions(workers=1)
 
 
 @pytest.fixture(scope="module")
@@ -63,31 +61,32 @@ def inside(xyz, *limits, by=0.0):
     return within(xyz[:, 0] - 500_000, xyz[:, 1] - 5_400_000, (x0 - by, y0 - by, x1 + by, y1 + by))
 
 
-def table(**places):
-    """Verdicts by name of a place."""
+def table(*boxes, **places):
+    """Verdicts by name of a place, or on other boxes."""
     shapes = {"house": box(*HOUSE), "hill": box(*HILL), "river": box(*RIVER) - box(*BRIDGE), "bridge": box(*BRIDGE)}
-    return geopandas.GeoDataFrame(
-        {"verdict": list(places.values())}, geometry=[shapes.get(k.rstrip("_")) for k in places], crs=UTM
-    )
+    found = [box(*one) for one in boxes] or [shapes.get(k.rstrip("_")) for k in places]
+    return geopandas.GeoDataFrame({"verdict": list(places.values())}, geometry=found, crs=UTM)
 
 
 def labelled(xyz, ground):
     """A result with these labels."""
-    cloud = jf.PointCloud.from_arrays(xyz, crs=UTM)
-    result = jf.FilterResult.of_labels(ground)
-    return dataclasses.replace(result, run=jf.OST(spacing=0.8)(cloud).run)
+    run = Call(jf.OST(spacing=0.8), jf.PointCloud.from_arrays(xyz, crs=UTM), seconds=0.0)
+    return dataclasses.replace(jf.FilterResult.of_labels(ground), run=run)
 
 
 @pytest.fixture(scope="module")
-def wrong(scene):
+def xyz(scene):
+    return scene[0]
+
+
+@pytest.fixture(scope="module")
+def wrong(xyz):
     """Labels with the hill as an object, and all else, roof, deck and stakes, as ground."""
-    xyz, _ = scene
     return ~(inside(xyz, *HILL) & (xyz[:, 2] > 50.3))
 
 
 @pytest.mark.parametrize("word", ["object", "bridge"])
-def test_an_object_is_no_ground_and_its_rim_is_judged_again(scene, wrong, word):
-    xyz, _ = scene
+def test_an_object_is_no_ground_and_its_rim_is_judged_again(xyz, wrong, word):
     made = jf.apply(labelled(xyz, wrong), table(house=word))
     house, near = inside(xyz, *HOUSE), inside(xyz, *HOUSE, by=RIM)
     assert not made.ground[house].any() and made.ground[near & ~house].all()
@@ -96,43 +95,32 @@ def test_an_object_is_no_ground_and_its_rim_is_judged_again(scene, wrong, word):
     assert (made.decision[house] == jf.Decision.SURFACE).all()
 
 
-def test_false_ground_beside_an_object_goes_with_it(scene, wrong):
+def test_false_ground_beside_an_object_goes_with_it(xyz, wrong):
     """The place is smaller than the house: the roof goes on in the rim, and there it does not pass again."""
-    xyz, _ = scene
     x0, y0, x1, y1 = HOUSE
-    small = table(house="object")
-    small.geometry = [box(x0 + 3, y0 + 3, x1 - 3, y1 - 3)]
-    made = jf.apply(labelled(xyz, wrong), small)
+    made = jf.apply(labelled(xyz, wrong), table((x0 + 3, y0 + 3, x1 - 3, y1 - 3), house="object"))
     house = inside(xyz, *HOUSE)
     assert not made.ground[house].any() and made.ground[~house & wrong].all()
 
 
-def test_an_object_takes_off_what_sticks_out_and_no_terrain(scene, wrong):
+def test_an_object_takes_off_what_sticks_out_and_no_terrain(xyz):
     """A roof at the edge of the data goes, though no point lies beyond it; a smooth hill does not, whatever is said."""
-    xyz, _ = scene
-    everywhere = np.ones(len(xyz), bool)
     cut = inside(xyz, 110, 80, WIDE, HIGH)  # the house is at the western edge of this part
     part, roof = xyz[cut], inside(xyz[cut], 110, 80, HOUSE[2], HOUSE[3])
-    places = table(house="object", hill="object")
-    places.geometry = [box(110, 78, 122, 102), box(*HILL)]
-    made = jf.apply(labelled(part, everywhere[cut]), places[:1])
+    made = jf.apply(labelled(part, np.ones(len(part), bool)), table((110, 78, 122, 102), roof="object"))
     assert not made.ground[roof].any() and made.ground[~roof].all()
-    assert jf.apply(labelled(xyz, everywhere), places[1:]).ground.all()
+    assert jf.apply(labelled(xyz, np.ones(len(xyz), bool)), table(hill="object")).ground.all()
 
 
-def test_ground_keeps_off_what_rises_more_steeply_than_terrain(scene, wrong):
+def test_ground_keeps_off_what_rises_more_steeply_than_terrain(xyz, wrong):
     """The place holds a shed: its ground is what lies around it."""
-    xyz, _ = scene
     shed, place = inside(xyz, 140, 20, 148, 28), inside(xyz, 134, 14, 154, 34)
-    xyz = xyz + np.outer(shed, [0, 0, 5])
-    places = table(house="ground")
-    places.geometry = [box(134, 14, 154, 34)]
-    made = jf.apply(labelled(xyz, wrong & ~place), places)
+    before = labelled(xyz + np.outer(shed, [0, 0, 5]), wrong & ~place)
+    made = jf.apply(before, table((134, 14, 154, 34), shed="ground"))
     np.testing.assert_array_equal(made.ground[place], ~shed[place])
 
 
-def test_ground_grows_from_the_lowest_points_of_a_place(scene, wrong):
-    xyz, _ = scene
+def test_ground_grows_from_the_lowest_points_of_a_place(xyz, wrong):
     hill = inside(xyz, *HILL)
     before = labelled(xyz, wrong)
     made = jf.apply(before, table(hill="ground"))
@@ -149,18 +137,15 @@ def test_what_stands_in_water_is_no_ground(scene, wrong):
     np.testing.assert_array_equal(made.deck, inside(xyz, *BRIDGE))
 
 
-def test_fine_places_keep_their_labels_in_the_rim_of_others(scene, wrong):
-    xyz, _ = scene
+def test_fine_places_keep_their_labels_in_the_rim_of_others(xyz, wrong):
     x0, y0, x1, y1 = HOUSE
-    places = table(house="bridge", fine="fine")
-    places.geometry = [box(x0, y0, x1 - 5, y1), box(x1 - 5, y0, x1, y1)]
+    places = table((x0, y0, x1 - 5, y1), (x1 - 5, y0, x1, y1), house="bridge", fine="fine")
     made = jf.apply(labelled(xyz, wrong), places)
     rest = inside(xyz, x1 - 4.9, y0, x1, y1)
     assert made.ground[rest].all() and not made.ground[inside(xyz, x0, y0, x1 - 5, y1)].any()
 
 
-def test_order_of_points_and_of_places_does_not_count(scene, wrong):
-    xyz, _ = scene
+def test_order_of_points_and_of_places_does_not_count(xyz, wrong):
     order = np.random.default_rng(2).permutation(len(xyz))
     places = table(house="object", hill="ground", river="water")
     made = jf.apply(labelled(xyz, wrong), places)
@@ -189,68 +174,44 @@ def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwar
     assert len(said) == (suffix == ".geojson") and all("GeoJSON cannot state the CRS unknown" in text for text in said)
 
 
-def test_a_file_with_several_layers_of_shapes_is_refused(tmp_path):
+def test_a_file_with_several_layers_of_shapes_is_refused(xyz, wrong, tmp_path):
     for layer in ("drafts", "final"):
         table(house="object").to_file(tmp_path / "list.gpkg", layer=layer, mode="a")
     with pytest.raises(jf.InputError, match=r"list\.gpkg: has the layers drafts, final: save the one"):
-        read_verdicts(tmp_path / "list.gpkg", UTM, box(0, 0, WIDE, HIGH).bounds)
+        jf.apply(labelled(xyz, wrong), tmp_path / "list.gpkg")
 
 
-def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
-    xyz, _ = scene
+def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(xyz, wrong):
     places = table(house="Object ", hill="ground", hill_="object", bridge="road", river=None)
-    places.loc[len(places)] = ["object", box(900, 900, 950, 950)]
+    flat = shapely.Polygon([(500_010, 5_400_010), (500_020, 5_400_010), (500_015, 5_400_010)])
+    for shape in (box(900, 900, 950, 950), flat):
+        places.loc[len(places)] = ["object", shape]
     with pytest.warns(jf.JaxfilterWarning) as caught:
         made = jf.apply(labelled(xyz, wrong), places)
     words = [str(one.message) for one in caught]
-    assert len(words) == 3
+    assert len(words) == 4
     assert any("'road' is no verdict: choose one of ground" in one for one in words)
     assert any("place 6: lies outside of the data" in one for one in words)
+    assert any("place 7: is no polygon" in one for one in words)
     assert any("place 2 is ground and place 3, which overlaps it, object" in one for one in words)
     np.testing.assert_array_equal(made.ground, wrong & ~inside(xyz, *HOUSE))
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, 1e300])
-def test_places_with_coordinates_that_are_none_are_named(scene, wrong, number):
-    bad = shapely.Polygon([*box(*HOUSE).exterior.coords[:2], (number, 5_400_000)])
-    places = table(hill="object", house="object").set_geometry([box(*HILL), bad], crs=UTM)
-    with pytest.raises(jf.InputError, match="places: feature 2 has NaN, infinite or far coordinates"):
-        jf.apply(labelled(scene[0], wrong), places)
-
-
-def test_a_place_without_area_is_left_out(scene, wrong):
-    flat = shapely.Polygon([(500_010, 5_400_010), (500_020, 5_400_010), (500_015, 5_400_010)])
-    places = table(house="object", flat="object").set_geometry([box(*HOUSE), flat], crs=UTM)
-    with pytest.warns(jf.JaxfilterWarning, match="place 2: is no polygon"):
-        made = jf.apply(labelled(scene[0], wrong), places)
-    np.testing.assert_array_equal(made.ground, jf.apply(labelled(scene[0], wrong), table(house="object")).ground)
-
-
-def test_places_in_a_system_that_leads_nowhere_are_named(scene, wrong):
-    places = table(house="object").set_crs(pyproj.CRS('LOCAL_CS["x",UNIT["metre",1]]'), allow_override=True)
-    with pytest.raises(jf.InputError, match="places: there is no way from x to ETRS89 / UTM zone 32N: save it in that"):
-        jf.apply(labelled(scene[0], wrong), places)
-
-
-def test_places_in_another_crs_are_transformed_and_that_is_said(scene, wrong):
-    xyz, _ = scene
+def test_places_in_another_crs_are_transformed_and_that_is_said(xyz, wrong):
     places = table(house="object")
     with pytest.warns(jf.JaxfilterWarning, match="transformed from WGS 84 to ETRS89"):
         made = jf.apply(labelled(xyz, wrong), places.to_crs(4326))
     np.testing.assert_array_equal(made.ground, jf.apply(labelled(xyz, wrong), places).ground)
 
 
-def test_errors_name_what_is_missing(scene, wrong):
-    xyz, _ = scene
-    with pytest.raises(jf.InputError, match="no column verdict; it has word, geometry"):
-        jf.apply(labelled(xyz, wrong), table(house="object").rename(columns={"verdict": "word"}))
+def test_a_result_that_was_put_together_by_hand_is_refused(wrong):
     with pytest.raises(jf.InputError, match="put together by hand"):
         jf.apply(jf.FilterResult.of_labels(wrong), table(house="object"))
 
 
 def test_places_whose_rims_meet_are_a_site():
-    shapes = [box(0, 0, 10, 10), box(17, 0, 20, 10), box(40, 0, 50, 10), box(90, 0, 99, 9)]
-    places = geopandas.GeoDataFrame({"verdict": ["object", "ground", "water", "fine"]}, geometry=shapes, crs=UTM)
+    boxes = (0, 0, 10, 10), (17, 0, 20, 10), (40, 0, 50, 10), (90, 0, 99, 9)
+    places = table(*boxes, a="object", b="ground", c="water", d="fine")
     found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6))[0], 1.0)
     assert [len(site.verdicts) for site in found] == [2, 1], "where all is fine there is nothing to do"
     np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(RIM, join_style="mitre").bounds)
@@ -261,19 +222,14 @@ def test_places_whose_rims_meet_are_a_site():
 
 
 @pytest.fixture
-def survey(scene, wrong, tmp_path):
+def survey(xyz, wrong, tmp_path):
     """Four files of the scene with wrong classes; every fifth point, in the house as well, is vegetation for somebody."""
-    folder, (xyz, _) = tmp_path / "survey", scene
+    folder = tmp_path / "survey"
     folder.mkdir()
     classes = np.where(wrong, 2, 5).astype(np.uint8)
     classes[::37] = 20
-    for name, limits in (
-        ("sw", (0, 0, 80, 60)),
-        ("se", (80, 0, WIDE, 60)),
-        ("nw", (0, 60, 80, HIGH)),
-        ("ne", (80, 60, WIDE, HIGH)),
-    ):
-        rows = inside(xyz, *limits)
+    for name, x, y in (("sw", 0, 0), ("se", 80, 0), ("nw", 0, 60), ("ne", 80, 60)):
+        rows = inside(xyz, x, y, x + 80, y + 60)
         las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
         las.header.add_crs(UTM)
         las.header.scales, las.header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
@@ -295,35 +251,29 @@ def states(folder):
     return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in sorted(folder.glob("*.laz"))}
 
 
-def command(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, scene, tmp_path):
-    (xyz, _), places = scene, tmp_path / "places.gpkg"
+def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, xyz, tmp_path):
+    places = tmp_path / "places.gpkg"
     table(house="object", bridge="bridge", river="water").to_file(places, layer="review")
     before, old = states(survey), classes_of(survey, len(xyz))
-    done = command("apply", places, survey, "--bridge-class", "17", "--json")
-    assert done.exit_code == 0, done.output
-    facts = json.loads(done.stdout)
-    assert [path.rpartition("/")[2] for path in facts["files"]] == ["ne.laz", "sw.laz"]
+    report = facts("apply", places, survey, "--bridge-class", "17")
+    assert [path.rpartition("/")[2] for path in report["files"]] == ["ne.laz", "sw.laz"]
     after, new = states(survey), classes_of(survey, len(xyz))
     assert {name for name in after if after[name] != before[name]} == {"ne.laz", "sw.laz"}
     changed = old != new
-    assert facts["changed"] == changed.sum() and set(old[changed]) == {2} and set(new[changed]) == {1, 17}
+    assert report["changed"] == changed.sum() and set(old[changed]) == {2} and set(new[changed]) == {1, 17}
     house, deck = inside(xyz, *HOUSE), inside(xyz, *BRIDGE)
     assert set(new[house]) == {1, 20} and set(new[deck]) == {17, 20}, "what somebody has edited is kept"
     assert not list(survey.glob(".*")), "nothing is left of the run"
     log = json.loads((survey / "verdicts.json").read_text())
     assert [one["verdict"] for one in log["verdicts"]] == ["object", "bridge", "water"]
-    again = command("apply", places, survey)
-    assert "0 verdicts carried out (none), 3 were before" in again.output and states(survey) == after
+    again = done("apply", places, survey).output
+    assert "0 verdicts carried out (none), 3 were before" in again and states(survey) == after
 
 
-def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
-    (xyz, _), places = scene, table(house="object", hill="ground", river="water")
+def test_files_have_the_labels_of_memory(survey, xyz, wrong, tmp_path):
+    places = table(house="object", hill="ground", river="water")
     old = classes_of(survey, len(xyz))
-    jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+    jf.apply_survey(places, survey, run=ONE)
     cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
     like = dataclasses.replace(labelled(xyz, wrong & (old == 2)))
     filter_ = Sampler(jf.open(survey), jf.Reading(), survey / "index").filter_for(Recipe())
@@ -335,22 +285,22 @@ def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
 def test_the_limits_are_those_that_found_the_ground(survey, tmp_path, tile):
     run = jf.RunOptions(tile=tile, wide_halos=True, workers=1)
     made = jf.ground(survey, tmp_path / "made", jf.OST(window=9.0, max_angle=5.0), run=run)
-    report = jf.apply_survey(table(house="object"), tmp_path / "made", run=jf.RunOptions(workers=1))
+    report = jf.apply_survey(table(house="object"), tmp_path / "made", run=ONE)
     spacing = made.measures["spacing"] if tile else None
     assert report.method == "OST" and report.parameters == made.parameters | {"spacing": spacing}
-    jf.ground(survey, tmp_path / "other", jf.SMRF(window=9.0), run=jf.RunOptions(workers=1))
-    other = jf.apply_survey(table(house="object"), tmp_path / "other", run=jf.RunOptions(workers=1))
+    jf.ground(survey, tmp_path / "other", jf.SMRF(window=9.0), run=ONE)
+    other = jf.apply_survey(table(house="object"), tmp_path / "other", run=ONE)
     assert other.method == "OST" and other.parameters["max_angle"] == jf.OST().max_angle
 
 
-def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_path):
+def test_a_changed_file_has_its_verdicts_carried_out_again(survey, xyz, tmp_path):
     places = table(house="object", hill="ground")
     kept = shutil.copytree(survey, tmp_path / "kept")
-    jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+    jf.apply_survey(places, survey, run=ONE)
     done = states(survey)
     shutil.copy(kept / "ne.laz", survey / "ne.laz")
     with pytest.warns(jf.JaxfilterWarning, match="ne.laz: .* since verdicts were carried out"):
-        report = jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+        report = jf.apply_survey(places, survey, run=ONE)
     assert report.applied == {"object": 1} and report.before == 1
     assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
 
@@ -379,79 +329,62 @@ def test_a_report_that_is_damaged_does_not_count(survey, text):
     assert jf.apply_survey(table(house="object"), survey).complete
 
 
-def test_who_goes_back_to_a_verdict_gets_it_again(survey, scene):
+def test_who_goes_back_to_a_verdict_gets_it_again(survey, xyz):
     """Another verdict on the same place was carried out in between."""
-    n, run = len(scene[0]), jf.RunOptions(workers=1)
     for word in ("bridge", "ground", "bridge"):
-        report = jf.apply_survey(table(house=word), survey, run=run)
+        report = jf.apply_survey(table(house=word), survey, run=ONE)
         assert report.applied == {word: 1} and report.before == 0
-        on_roof = (classes_of(survey, n)[inside(scene[0], *HOUSE)] == 2).any()
+        on_roof = (classes_of(survey, len(xyz))[inside(xyz, *HOUSE)] == 2).any()
         assert on_roof == (word == "ground")
         (known,) = json.loads((survey / "verdicts.json").read_text())["verdicts"]
         assert known["verdict"] == word
 
 
-def test_verdicts_are_done_for_files_that_come_later(survey, scene):
+def test_verdicts_are_done_for_files_that_come_later(survey, xyz):
     """A place in two files, of which one is given first."""
-    places = geopandas.GeoDataFrame({"verdict": ["bridge"]}, geometry=[box(70, 20, 90, 30)], crs=UTM)
-    n = len(scene[0])
-    jf.apply_survey(places, survey / "sw.laz", run=jf.RunOptions(workers=1))
-    deck, done = inside(scene[0], 70, 20, 90, 30), classes_of(survey, n)
+    places = table((70, 20, 90, 30), deck="bridge")
+    n = len(xyz)
+    jf.apply_survey(places, survey / "sw.laz", run=ONE)
+    deck, done = inside(xyz, 70, 20, 90, 30), classes_of(survey, n)
     assert (done[deck] == 2).any(), "the eastern part is in another file"
     for before, applied in enumerate(({"bridge": 1}, {})):
-        report = jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+        report = jf.apply_survey(places, survey, run=ONE)
         assert (report.applied, report.before) == (applied, before)
         assert not (classes_of(survey, n)[deck] == 2).any()
 
 
-def test_what_was_undone_stays_known_as_undone(survey, scene, tmp_path, recwarn):
+def test_what_was_undone_stays_known_as_undone(survey, xyz, tmp_path, recwarn):
     """Another verdict on a changed file does not vouch for what was said of it before."""
     kept = shutil.copytree(survey, tmp_path / "kept")
-    jf.apply_survey(table(house="object"), survey, run=jf.RunOptions(workers=1))
-    done = classes_of(survey, len(scene[0]))
+    jf.apply_survey(table(house="object"), survey, run=ONE)
+    done = classes_of(survey, len(xyz))
     shutil.copy(kept / "ne.laz", survey / "ne.laz")
-    jf.apply_survey(table(hill="ground"), survey, run=jf.RunOptions(workers=1))
+    jf.apply_survey(table(hill="ground"), survey, run=ONE)
     assert sum("since verdicts" in str(one.message) for one in recwarn) == 1
-    report = jf.apply_survey(table(house="object"), survey, run=jf.RunOptions(workers=1))
-    house = inside(scene[0], *HOUSE)
+    report = jf.apply_survey(table(house="object"), survey, run=ONE)
+    house = inside(xyz, *HOUSE)
     assert report.applied == {"object": 1}
-    np.testing.assert_array_equal(classes_of(survey, len(scene[0]))[house], done[house])
-
-
-@pytest.mark.parametrize("tasks", [0, 2, 4, 5])
-def test_a_run_that_is_stopped_goes_on(survey, scene, tasks, tmp_path):
-    places = table(house="object", hill="ground", river="water")
-    whole = shutil.copytree(survey, tmp_path / "whole")
-    jf.apply_survey(places, whole, run=jf.RunOptions(workers=1))
-    with pytest.raises(KeyboardInterrupt):
-        jf.apply_survey(places, survey, run=jf.RunOptions(executor=Here(stop_after=tasks)))
-    report = jf.apply_survey(places, survey, run=jf.RunOptions(executor=Here(), resume=True))
-    assert report.complete and (survey / "verdicts.json").exists()
-    n = len(scene[0])
-    np.testing.assert_array_equal(classes_of(survey, n), classes_of(whole, n))
+    np.testing.assert_array_equal(classes_of(survey, len(xyz))[house], done[house])
 
 
 def test_the_command_says_what_it_leaves_out(survey, tmp_path):
-    places = tmp_path / "places.geojson"
-    table(house="object", hill="grond").to_file(places)
-    done = command("apply", places, survey)
-    assert done.exit_code == 1 and "'grond' is no verdict" in done.output
-    assert "1 verdict carried out (1 object)" in done.output and "1 verdict left out" in done.output
-    table(house="object").rename(columns={"verdict": "v"}).to_file(tmp_path / "none.geojson")
-    assert command("apply", tmp_path / "none.geojson", survey).exit_code == 1
-    table(house=5).to_file(tmp_path / "number.geojson")
-    done = command("apply", tmp_path / "number.geojson", survey)
-    assert done.exit_code == 1 and "5 is no verdict" in done.output
     (tmp_path / "plain.csv").write_text("verdict\nobject\n")
-    done = command("apply", tmp_path / "plain.csv", survey)
-    assert done.exit_code == 1 and "plain.csv: holds no geometry" in done.output
+    table(house="object", hill="grond").to_file(tmp_path / "places.geojson")
+    table(house=5).to_file(tmp_path / "number.geojson")
+    table(house="object").rename(columns={"verdict": "word"}).to_file(tmp_path / "none.geojson")
+    for name, *words in (
+        ("places.geojson", "'grond' is no verdict", "1 verdict carried out (1 object)", "1 verdict left out"),
+        ("number.geojson", "5 is no verdict"),
+        ("none.geojson", "no column verdict; it has word, geometry"),
+        ("plain.csv", "plain.csv: holds no geometry"),
+    ):
+        said = run("apply", tmp_path / name, survey)
+        assert said.exit_code == 1 and all(one in said.output for one in words), said.output
 
 
-def test_review_lists_the_places_of_classified_files(survey, scene, wrong, tmp_path):
-    done = command("review", survey, tmp_path / "places.gpkg", "--json")
-    assert done.exit_code == 0, done.output
-    places = geopandas.read_file(tmp_path / "places.gpkg")
-    assert len(places) == len(json.loads(done.stdout)["places"]) > 0
+def test_review_lists_the_places_of_classified_files(survey, tmp_path):
+    listed, places = facts("review", survey, tmp_path / "places.gpkg"), geopandas.read_file(tmp_path / "places.gpkg")
+    assert len(places) == len(listed["places"]) > 0
     assert places.verdict.fillna("").eq("").all() and places.geometry.intersects(box(*HILL)).any()
 
 
@@ -459,25 +392,21 @@ def test_review_lists_the_places_of_classified_files(survey, scene, wrong, tmp_p
     "name", [".verdicts.jaxfilter-run", ".verdicts.json.jaxfilter-run", ".jaxfilter-00000000-00000000"]
 )
 def test_verdicts_follow_no_link_in_place_of_their_folders(survey, tmp_path, name):
-    elsewhere = tmp_path / "elsewhere"
+    elsewhere, kept = tmp_path / "elsewhere", ("lock", "precious.txt", "deep/more.txt")
     (elsewhere / "deep").mkdir(parents=True)
-    for kept in ("lock", "precious.txt", "deep/more.txt"):
-        (elsewhere / kept).write_text(kept)
-        os.utime(elsewhere / kept, (1e9, 1e9))
-    for folder in (elsewhere / "deep", elsewhere):
-        os.utime(folder, (1e9, 1e9))
+    for one in kept:
+        (elsewhere / one).write_text(one)
+    for path in (*elsewhere.rglob("*"), elsewhere):
+        os.utime(path, (1e9, 1e9))
     (survey / name).symlink_to(elsewhere)
     table(house="object").to_file(tmp_path / "places.gpkg", layer="review")
     before, passes = states(survey), "00000000" in name
-    done = command("apply", tmp_path / "places.gpkg", survey)
-    assert (done.exit_code == 0) == passes and f"{survey / name}: is a link" in " ".join(done.stderr.split()), (
-        done.output
-    )
+    said = run("apply", tmp_path / "places.gpkg", survey)
+    assert (said.exit_code == 0) == passes, said.output
+    assert f"{survey / name}: is a link" in " ".join(said.stderr.split())
     assert (states(survey) == before) != passes and (survey / name).is_symlink()
-    assert {
-        path.relative_to(elsewhere).as_posix(): path.read_text() for path in elsewhere.rglob("*") if path.is_file()
-    } == {kept: kept for kept in ("lock", "precious.txt", "deep/more.txt")}
-    assert elsewhere.stat().st_mtime == 1e9
+    assert {one: (elsewhere / one).read_text() for one in kept} == {one: one for one in kept}
+    assert len(list(elsewhere.rglob("*"))) == 4 and elsewhere.stat().st_mtime == 1e9
 
 
 @pytest.mark.parametrize("word", ["object", "fine"])
@@ -489,19 +418,17 @@ def test_what_another_run_notes_meanwhile_stays_in_the_log(survey, monkeypatch, 
     def holds(log, one):
         monkeypatch.undo()
         try:
-            noted.append(jf.apply_survey(others, survey, run=jf.RunOptions(workers=1)).applied)
+            noted.append(jf.apply_survey(others, survey, run=ONE).applied)
         except jf.OutputError as error:
             assert "another run is writing into this folder" in str(error)
         return read(log, one)
 
     monkeypatch.setattr(verdicts._Log, "holds", holds)
-    assert jf.apply_survey(table(house=word), survey, run=jf.RunOptions(workers=1)).applied == {word: 1}
-    if not noted:
-        noted.append(jf.apply_survey(others, survey, run=jf.RunOptions(workers=1)).applied)
-    assert noted == [{"water": 1}]
+    assert jf.apply_survey(table(house=word), survey, run=ONE).applied == {word: 1}
+    assert (noted or [jf.apply_survey(others, survey, run=ONE).applied]) == [{"water": 1}]
     log = json.loads((survey / "verdicts.json").read_text())
     assert sorted(one["verdict"] for one in log["verdicts"]) == sorted([word, "water"])
-    again = jf.apply_survey(pd.concat([table(house=word), others]), survey, run=jf.RunOptions(workers=1))
+    again = jf.apply_survey(pd.concat([table(house=word), others]), survey, run=ONE)
     assert again.before == 2 and again.files == [] and not list(survey.glob(".*"))
 
 

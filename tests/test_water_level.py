@@ -6,10 +6,9 @@ import geopandas
 import numpy as np
 import pytest
 import shapely
-from click.testing import CliRunner
+from commands import done
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.surveys.tiles import part_of
 from jaxfilter.terrain.levels import levels_in
 
@@ -41,7 +40,7 @@ def test_one_file_for_places_and_outlines_is_refused(tmp_path):
         jf.ground("any.laz", tmp_path / "out.laz", review=tmp_path / "a.gpkg", breaklines=tmp_path / "a.gpkg")
 
 
-def test_a_river_falls_along_its_course_and_is_level_across() -> None:
+def test_a_river_falls_along_its_course_and_is_level_across():
     cloud = valley(0.005)
     levels = levels_in(cloud, None, cloud.reference)
     assert levels is not None
@@ -61,7 +60,7 @@ def test_a_river_falls_along_its_course_and_is_level_across() -> None:
     assert abs(outline.fall - 2.0) < 0.1 and abs(outline.area - 400 * 24) < 1000
 
 
-def test_a_level_river_has_one_height_and_land_is_as_it_was() -> None:
+def test_a_level_river_has_one_height_and_land_is_as_it_was():
     cloud = valley(0.0)
     model, raw = jf.dtm(cloud), jf.dtm(cloud, level_water=False)
     (outline,) = jf.breaklines(cloud).itertuples()
@@ -78,7 +77,7 @@ def test_a_level_river_has_one_height_and_land_is_as_it_was() -> None:
     assert len(jf.breaklines(part_of(cloud, cloud.classification == 2))) == 0
 
 
-def test_water_in_feet_has_the_cells_and_levels_of_that_in_metres() -> None:
+def test_water_in_feet_has_the_cells_and_levels_of_that_in_metres():
     cloud = valley(0.0)
     feet = jf.PointCloud.from_arrays(
         cloud.coordinates() / 0.3048, units="ft", classification=cloud.classification, reference=cloud.reference
@@ -88,7 +87,7 @@ def test_water_in_feet_has_the_cells_and_levels_of_that_in_metres() -> None:
     np.testing.assert_allclose(model.values * 0.3048, jf.dtm(cloud).values, atol=1e-4)
 
 
-def test_stray_points_of_water_are_no_crash() -> None:
+def test_stray_points_of_water_are_no_crash():
     cloud = jf.PointCloud.from_arrays(
         np.array([[0.0, 0, 0], [99_000, 99_000, 0], [9, 0, 1], [0, 9, 1]]),
         classification=np.array([9, 9, 2, 2], np.uint8),
@@ -97,7 +96,7 @@ def test_stray_points_of_water_are_no_crash() -> None:
         assert len(jf.breaklines(cloud, cloud.classification == 2)) == 0
 
 
-def in_four(cloud: jf.PointCloud, folder) -> jf.PointCloud:  # type: ignore[no-untyped-def]
+def in_four(cloud: jf.PointCloud, folder) -> jf.PointCloud:
     """Write the quarters of a cloud, cut in its middle. Returns: the cloud as a file holds it."""
     folder.mkdir()
     jf.write(folder.parent / "whole.laz", cloud, None)
@@ -109,23 +108,12 @@ def in_four(cloud: jf.PointCloud, folder) -> jf.PointCloud:  # type: ignore[no-u
     return cloud
 
 
-def test_water_of_tiles_is_that_of_the_whole(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_water_of_tiles_is_that_of_the_whole(tmp_path):
     """By points of class 9: rasters of four files, in tiles that cut the river, and those of the cloud in memory."""
     cloud = in_four(valley(0.002), tmp_path / "in")
-    words = [
-        "products",
-        str(tmp_path / "in"),
-        str(tmp_path / "out"),
-        "--classified",
-        "2",
-        "--units",
-        "m",
-        "--cell",
-        "2",
-    ]
-    words += ["--only", "dtm,hillshade,chm", "--tile", "150", "--workers", "1"]
-    run = CliRunner().invoke(main, [*words, "--breaklines", str(tmp_path / "out" / "water.gpkg")])
-    assert run.exit_code == 0 and "water.gpkg: 1 outline of water" in run.output, run.output
+    how = ("--classified", 2, "--units", "m", "--cell", 2, "--tile", 150, "--workers", 1)
+    how += ("--only", "dtm,hillshade,chm", "--breaklines", tmp_path / "out" / "water.gpkg")
+    assert "water.gpkg: 1 outline of water" in done("products", tmp_path / "in", tmp_path / "out", *how).output
     model = jf.dtm(cloud, cell=2.0)
     made = jf.Raster.read(tmp_path / "out" / "dtm.tif")
     levels = levels_in(cloud, None, cloud.reference)
@@ -142,7 +130,7 @@ def test_water_of_tiles_is_that_of_the_whole(tmp_path) -> None:  # type: ignore[
 
 
 @pytest.mark.parametrize("more", [{}, {"max_gap": 3.0}])
-def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more) -> None:  # type: ignore[no-untyped-def]
+def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more):
     """A lake at the corner of the data, beyond the hull of the ground, and wider than ``max_gap``: in files as in memory."""
     rng = np.random.default_rng(3)
     xyz = np.column_stack([rng.random((20_000, 2)) * [160.0, 120.0], np.full(20_000, 50.0)])
@@ -160,7 +148,7 @@ def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more) ->
     np.testing.assert_array_equal(jf.Raster.read(tmp_path / "part.tif").values, model.values[80:110, 90:150])
 
 
-def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path):
     """By OST: labels, outlines and levels of a river that goes through four files."""
     layout = jf.scenes.SceneLayout(relief=4, landform=128, river=28, water_echoes=0.8, forest=0, settlement=0)
     scene = jf.scenes.make(layout, size=(440, 180), density=0.7, seed=7)

@@ -27,7 +27,7 @@ def by_brute_force(xyz, extent, window, stride):
     return out
 
 
-def by_blocks(xyz, extent, window, stride, padding=3):
+def by_blocks(xyz, extent, window, stride, padding):
     layout = window_layout(extent, window, stride)
     shape = layout.blocks[0] + padding, layout.blocks[1] + padding
     index = cell_index(xyz[:, :2], np.float32([0, 0]), np.float32(layout.block), np.int32(layout.blocks), shape[1])
@@ -43,29 +43,18 @@ def by_blocks(xyz, extent, window, stride, padding=3):
     return np.where(np.isfinite(z), point, -1)
 
 
-@pytest.mark.parametrize("window, stride", [(60, 10), (60, 60), (25, 10), (7.5, 2.5), (16, 6), (500, 10)])
-def test_lowest_points_equal_the_definition(window, stride):
+@pytest.mark.parametrize("window, stride, n, padding", [
+    (60, 10, 700, 3), (60, 60, 700, 0), (25, 10, 700, 17), (7.5, 2.5, 700, 3), (16, 6, 2, 0), (500, 10, 700, 3),
+])  # fmt: skip
+def test_lowest_points_equal_the_definition(window, stride, n, padding):
+    """Of many points and of few, most windows of which are empty, in arrays of any size."""
     rng = np.random.default_rng(5)
     extent = (113.0, 171.0)
-    xyz = (rng.random((700, 3)) * [extent[1], extent[0], 20]).astype(np.float32)
+    xyz = (rng.random((n, 3)) * [extent[1], extent[0], 20]).astype(np.float32)
     xyz[:, 2] = np.round(xyz[:, 2])  # many ties
     expected = by_brute_force(xyz, extent, window, stride)
-    np.testing.assert_array_equal(by_blocks(xyz, extent, window, stride), expected)
+    np.testing.assert_array_equal(by_blocks(xyz, extent, window, stride, padding), expected)
     assert expected.size == 1 or (expected >= 0).sum() > 1
-
-
-def test_windows_without_points_have_none():
-    xyz = np.float32([[1, 1, 0], [95, 95, 1]])
-    found = by_blocks(xyz, (100.0, 100.0), 20, 10)
-    assert found[0, 0] == 0 and found[-1, -1] == 1 and (found == -1).sum() > 50
-
-
-def test_padding_changes_nothing():
-    rng = np.random.default_rng(6)
-    xyz = (rng.random((200, 3)) * 90).astype(np.float32)
-    np.testing.assert_array_equal(
-        by_blocks(xyz, (90.0, 90.0), 30, 10, padding=0), by_blocks(xyz, (90.0, 90.0), 30, 10, 17)
-    )
 
 
 def test_number_of_windows_is_the_papers():

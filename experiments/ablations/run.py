@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
 import shlex
 import statistics
@@ -35,13 +34,9 @@ from jaxfilter.steps.surfaces import Cells, steepest_drops
 from jaxfilter.steps.tin_filter import surrounded
 
 HERE = Path(__file__).parent
-QUICK = ("24", "41")
-COLUMNS = ("choice", "variant", "sample", "key", *search.COUNTS, "changed", "status")
-"""``changed``: of tiles, per cent of the points whose label is not that in the whole sample."""
+COLUMNS = ("choice", "variant", "sample", "key", *search.COUNTS, "status")
 ANGLES = (6.0, 10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 34.0, 38.0, 42.0)
 TINS = ("fptd", "ptd")
-TILE = 100.0
-"""Metres: samples are cut into equal tiles of about this size."""
 RING = 5.0
 """Metres between the points of a dense border."""
 
@@ -60,8 +55,7 @@ def run_filter(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
 @dataclasses.dataclass(frozen=True)
 class Variant:
     """One way to make a choice. ``baseline``: what the others of the choice are compared with, the fixed set as it stands or
-    nearest to it; ``labels``: it looks at the reference; ``tiled``: it cuts the sample, so that its labels are compared with
-    those of the whole as well. Names begin with the method and a colon."""
+    nearest to it; ``labels``: it looks at the reference. Names begin with the method and a colon."""
 
     choice: str
     name: str
@@ -69,7 +63,6 @@ class Variant:
     run: Runner = run_filter
     baseline: bool = False
     labels: bool = False
-    tiled: bool = False
 
 
 def variants() -> list[Variant]:
@@ -86,7 +79,7 @@ def variants() -> list[Variant]:
         *_mirror(),
         *_border(),
         *_switches(),
-        *_tiles(),
+        *_search(),
         *_smrf(),
         *_ppdf(),
     ]
@@ -110,37 +103,32 @@ def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Cal
     return make
 
 
+def _variants(choice: str, baseline: str, makers: dict[str, Maker]) -> list[Variant]:
+    """Variants by their names, one of which is the baseline."""
+    return [Variant(choice, name, make, baseline=name == baseline) for name, make in makers.items()]
+
+
 def _low_outliers() -> list[Variant]:
     """1. How low outliers are kept from being seeds."""
     choice = "1. low outliers"
     out = []
     for method in TINS:
         title = method.upper()
-        out += [
-            Variant(choice, f"{title}: none", _with(method, low_clusters=False)),
-            Variant(
-                choice,
-                f"{title}: radius filter, 5 m, 10 neighbours",
-                _modified(method, {"low_clusters": False}, outliers=_few_neighbours),
+        without = "windows without their lowest points" if method == "fptd" else "second-lowest point of a cell"
+        makers = {
+            f"{title}: none": _with(method, low_clusters=False),
+            f"{title}: radius filter, 5 m, 10 neighbours": _modified(
+                method, {"low_clusters": False}, outliers=_few_neighbours
             ),
-            Variant(
-                choice, f"{title}: isolated points, 2 m below their 8 neighbours", _modified(method, outliers=_isolated)
-            ),
-            Variant(choice, f"{title}: elevation unlike that of 8 neighbours", _modified(method, outliers=_unlike)),
-            Variant(
-                choice,
-                f"{title}: {'windows without their lowest points' if method == 'fptd' else 'second-lowest point of a cell'}",
-                _modified(method, outliers=_lowest_of_all),
-            ),
-            Variant(choice, f"{title}: clusters of low points", _with(method), baseline=True),
-            Variant(choice, f"{title}: clusters and radius filter", _modified(method, outliers=_few_neighbours)),
-            Variant(
-                choice,
-                f"{title}: by the labels, objects 1 m below ground",
-                _modified(method, outliers=_by_labels),
-                labels=True,
-            ),
-        ]
+            f"{title}: isolated points, 2 m below their 8 neighbours": _modified(method, outliers=_isolated),
+            f"{title}: elevation unlike that of 8 neighbours": _modified(method, outliers=_unlike),
+            f"{title}: {without}": _modified(method, outliers=_lowest_of_all),
+            f"{title}: clusters of low points": _with(method),
+            f"{title}: clusters and radius filter": _modified(method, outliers=_few_neighbours),
+        }
+        out += _variants(choice, f"{title}: clusters of low points", makers)
+        name = f"{title}: by the labels, objects 1 m below ground"
+        out.append(Variant(choice, name, _modified(method, outliers=_by_labels), labels=True))
     return out
 
 
@@ -183,11 +171,15 @@ def _fate() -> list[Variant]:
     """2. What becomes of points that were kept from being seeds."""
     choice = "2. fate of outliers"
     radius = {"radius": 5.0, "min_neighbours": 10, "low_clusters": False}
+    own = "FPTD: low clusters tested after the others"
+    makers = {
+        own: _with("fptd"),
+        "FPTD: low clusters tested with the others": _modified("fptd", outliers=_at_once),
+        "FPTD: radius filter, tested with the others": _with("fptd", **radius),
+    }
     return [
-        Variant(choice, "FPTD: low clusters tested after the others", _with("fptd"), baseline=True),
-        Variant(choice, "FPTD: low clusters tested with the others", _modified("fptd", outliers=_at_once)),
+        *_variants(choice, own, makers),
         Variant(choice, "FPTD: low clusters left out", _with("fptd"), run=_left_out),
-        Variant(choice, "FPTD: radius filter, tested with the others", _with("fptd", **radius)),
         Variant(choice, "FPTD: radius filter, left out", _with("fptd", **radius), run=_left_out),
     ]
 
@@ -208,51 +200,35 @@ def _left_out(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
 
 def _seed_density() -> list[Variant]:
     """3. How many seeds: stride of FPTD's windows of 60 m, and the seeds of each method under the test of PTD."""
-    limits = {
-        "max_angle": spaces.fixed("ptd", "samp11").max_angle,
-        "max_distance": spaces.fixed("ptd", "samp11").max_distance,
-    }
+    limits = {name: getattr(spaces.fixed("ptd", "samp11"), name) for name in ("max_angle", "max_distance")}
     how = "PTD's test"
+    names = {stride: f"FPTD: stride {stride} m" for stride in (60, 30, 20, 10, 5)}
+    names[60] += ", one seed per cell"
     seeds = {
-        "agptd": "cells divided on slopes (AGPTD)",
-        "iptd": "opening and local planes (IPTD)",
-        "spf": "openings (SPF)",
+        f"{how}: cell minima (PTD)": _with("ptd"),
+        f"{how}: sliding windows (FPTD)": _modified("fptd", growth=_growing(Rule(**limits))),
+        f"{how}: cells divided on slopes (AGPTD)": _with("agptd", **limits),
+        f"{how}: opening and local planes (IPTD)": _with("iptd", **limits),
+        f"{how}: openings (SPF)": _with("spf", **limits),
+        f"{how}: planes (PPDF)": _modified("ptd", start=_on_planes),
     }
+    strides = {name: _with("fptd", stride=float(stride)) for stride, name in names.items()}
     return [
-        *(
-            Variant(
-                "3. seed density",
-                f"FPTD: stride {stride:g} m" + (", one seed per cell" if stride == 60 else ""),
-                _with("fptd", stride=stride),
-                baseline=stride == 10,
-            )
-            for stride in (60.0, 30.0, 20.0, 10.0, 5.0)
-        ),
-        Variant("3. seeds", f"{how}: cell minima (PTD)", _with("ptd"), baseline=True),
-        Variant("3. seeds", f"{how}: sliding windows (FPTD)", _modified("fptd", growth=_growing(Rule(**limits)))),
-        *(
-            Variant("3. seeds", f"{how}: {text}", _with(method, **limits))
-            for method, text in seeds.items()
-            if method in jf.FILTERS
-        ),
-        Variant("3. seeds", f"{how}: planes (PPDF)", _modified("ptd", start=_on_planes)),
+        *_variants("3. seed density", names[10], strides),
+        *_variants("3. seeds", f"{how}: cell minima (PTD)", seeds),
     ]
 
 
 def _seed_cell() -> list[Variant]:
     """4. Size of seed cells and windows, whatever the largest building."""
-    sizes = (6.0, 12.0, 18.0, 30.0, 60.0, 90.0)
-    titles = {"ptd": "PTD: {:g} m", "fptd": "FPTD: {:g} m, stride a sixth", "agptd": "AGPTD: {:g} m"}
-
-    def change(method: str, size: float) -> dict[str, float]:
-        return {"window": size, "stride": size / 6} if method == "fptd" else {"seed_cell": size}
-
-    return [
-        Variant("4. seed cell", title.format(size), _with(method, **change(method, size)), baseline=size == 60)
-        for method, title in titles.items()
-        if method in jf.FILTERS
-        for size in sizes
-    ]
+    out = []
+    for title, method in {"PTD: {} m": "ptd", "FPTD: {} m, stride a sixth": "fptd", "AGPTD: {} m": "agptd"}.items():
+        makers = {}
+        for size in (6, 12, 18, 30, 60, 90):
+            change = {"window": float(size), "stride": size / 6} if method == "fptd" else {"seed_cell": float(size)}
+            makers[title.format(size)] = _with(method, **change)
+        out += _variants("4. seed cell", title.format(60), makers)
+    return out
 
 
 def _sign() -> list[Variant]:
@@ -268,64 +244,40 @@ def _sign() -> list[Variant]:
 
         return changed
 
-    choice = "5. sign and height"
-    return [
-        Variant(choice, "FPTD: signed, elevation over the highest vertex", _with("fptd"), baseline=True),
-        Variant(
-            choice,
-            "FPTD: angle unsigned, elevation over the highest vertex",
-            _modified("fptd", growth=rule(0.0, False)),
-        ),
-        Variant(choice, "FPTD: signed, distance to the plane", _modified("fptd", growth=rule(1.0, True))),
-        Variant(choice, "FPTD: unsigned, distance to the plane, as PTD", _modified("fptd", growth=rule(0.0, True))),
-    ]
+    makers = {
+        "FPTD: signed, elevation over the highest vertex": _with("fptd"),
+        "FPTD: angle unsigned, elevation over the highest vertex": _modified("fptd", growth=rule(0.0, False)),
+        "FPTD: signed, distance to the plane": _modified("fptd", growth=rule(1.0, True)),
+        "FPTD: unsigned, distance to the plane, as PTD": _modified("fptd", growth=rule(0.0, True)),
+    }
+    return _variants("5. sign and height", next(iter(makers)), makers)
 
 
 def _angle() -> list[Variant]:
     """6. Angle limit, and the noise floor."""
-    return [
-        *(
-            Variant(
-                "6. angle limit",
-                f"{method.upper()}: {angle:g} degrees",
-                _with(method, max_angle=angle),
-                baseline=spaces.fixed(method, "samp11").max_angle == angle,
-            )
-            for method in TINS
-            for angle in sorted({*ANGLES, spaces.fixed(method, "samp11").max_angle})
-        ),
-        *(
-            Variant(
-                "6. noise floor",
-                f"{method.upper()}: {'off' if floor == 0 else f'{floor:g} m'}",
-                _with(method, noise_floor=floor),
-                baseline=floor == 0,
-            )
-            for method in TINS
-            for floor in (0.0, 0.05, 0.1, 0.2)
-        ),
-    ]
+    out = []
+    for method in TINS:
+        title, own = method.upper(), spaces.fixed(method, "samp11").max_angle
+        angles = {f"{title}: {angle:g} degrees": _with(method, max_angle=angle) for angle in sorted({*ANGLES, own})}
+        floors = {f"{title}: {floor:g} m": _with(method, noise_floor=floor) for floor in (0.05, 0.1, 0.2)}
+        out += _variants("6. angle limit", f"{title}: {own:g} degrees", angles)
+        out += _variants("6. noise floor", f"{title}: off", {f"{title}: off": _with(method, noise_floor=0.0)} | floors)
+    return out
 
 
 def _blocks() -> list[Variant]:
     """7. One triangulation, or blocks that grow on their own."""
-    choice = "7. blocks"
-    return [
-        Variant(choice, "FPTD: one triangulation", _with("fptd"), baseline=True),
-        Variant(choice, "FPTD: independent blocks", _with("fptd", blocks="independent")),
-    ]
+    one, blocks = "FPTD: one triangulation", "FPTD: independent blocks"
+    return _variants("7. blocks", one, {one: _with("fptd"), blocks: _with("fptd", blocks="independent")})
 
 
 def _insertion() -> list[Variant]:
     """8. Which of the points that pass in a round are added: all, or the lowest over each facet."""
-    choice = "8. insertion"
     out = []
     for method in TINS:
         lowest = _modified(method, {"max_rounds": 1000}, growth=_growing(one_per_facet=True))
-        out += [
-            Variant(choice, f"{method.upper()}: batch", _with(method), baseline=True),
-            Variant(choice, f"{method.upper()}: one_per_facet", lowest),
-        ]
+        batch = f"{method.upper()}: batch"
+        out += _variants("8. insertion", batch, {batch: _with(method), f"{method.upper()}: one_per_facet": lowest})
     return out
 
 
@@ -356,19 +308,12 @@ def _growing(rule: Rule | None = None, **policies: Any) -> Callable[..., Any]:
 
 def _mirror() -> list[Variant]:
     """9. Mirroring of points over steep facets, of PTD: in place of the point, or as a second chance."""
-    choice = "9. mirroring"
-
-    def nearest(angle: float) -> Maker:
-        return _modified("ptd", growth=_growing(mirror=Mirror(angle, nearest=True)))
-
-    out = [Variant(choice, "PTD: off", _with("ptd", max_terrain_angle=90.0))]
+    makers = {"PTD: off": _with("ptd", max_terrain_angle=90.0)}
     for angle in (88.0, 30.0, 10.0):
-        highest = f"PTD: highest, replace, over {angle:g} degrees"
-        out += [
-            Variant(choice, highest, _with("ptd", max_terrain_angle=angle), baseline=angle == 88.0),
-            Variant(choice, f"PTD: nearest, or, over {angle:g} degrees", nearest(angle)),
-        ]
-    return out
+        nearest = _growing(mirror=Mirror(angle, nearest=True))
+        makers[f"PTD: highest, replace, over {angle:g} degrees"] = _with("ptd", max_terrain_angle=angle)
+        makers[f"PTD: nearest, or, over {angle:g} degrees"] = _modified("ptd", growth=nearest)
+    return _variants("9. mirroring", "PTD: highest, replace, over 88 degrees", makers)
 
 
 def _border() -> list[Variant]:
@@ -382,28 +327,16 @@ def _border() -> list[Variant]:
 
         return start
 
-    corners, ring, static = every(1e9), every(RING), _growing(border_follows=False)
+    places = {"every 60 m": {}, "four corners": {"start": every(1e9)}, f"every {RING:g} m": {"start": every(RING)}}
+    static = {"growth": _growing(border_follows=False)}
     out = []
     for method in TINS:
-        title = method.upper()
-        out += [
-            Variant("10. border points", f"{title}: every 60 m, follow the ground", _with(method), baseline=True),
-            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, growth=static)),
-            Variant("10. border points", f"{title}: four corners, follow the ground", _modified(method, start=corners)),
-            Variant(
-                "10. border points",
-                f"{title}: four corners, static",
-                _modified(method, start=corners, growth=static),
-            ),
-            Variant(
-                "10. border points", f"{title}: every {RING:g} m, follow the ground", _modified(method, start=ring)
-            ),
-            Variant(
-                "10. border points",
-                f"{title}: every {RING:g} m, static",
-                _modified(method, start=ring, growth=static),
-            ),
-        ]
+        makers = {}
+        for place, steps in places.items():
+            makers[f"{method.upper()}: {place}, follow the ground"] = _modified(method, **steps)
+            makers[f"{method.upper()}: {place}, static"] = _modified(method, **steps, **static)
+        own = next(iter(makers))
+        out += _variants("10. border points", own, makers | {own: _with(method)})
     return out
 
 
@@ -429,53 +362,45 @@ def _switches() -> list[Variant]:
     return out
 
 
-def _tiles() -> list[Variant]:
-    """12. Samples cut into tiles, each filtered with a margin of its neighbours: none, what is usual, and ``halo()``."""
-    ways = {"tiles without halo": _tiled(0.0), "tiles, halo of 25 m": _tiled(25.0), "tiles, halo()": _tiled(None)}
+def _search() -> list[Variant]:
+    """12. The constants of the search for clusters of low points, one at a time."""
+    tried: dict[str, dict[str, float]] = {
+        "depth 1 m": {"depth": 1.0}, "depth 4 m": {"depth": 4.0}, "10 points": {"max_points": 10},
+        "120 points": {"max_points": 120}, "reach 8 m": {"reach": 8.0}, "reach 30 m": {"reach": 30.0},
+        "no second search": {"farther": 1}, "120 points, no second search": {"max_points": 120, "farther": 1},
+    }  # fmt: skip
     out = []
-    for method in spaces.method_names():
-        title = method.upper()
-        out.append(Variant("12. tile buffer", f"{title}: whole", _with(method), baseline=True))
-        out += [
-            Variant("12. tile buffer", f"{title}: {way}", _with(method), run=run, tiled=True)
-            for way, run in ways.items()
-        ]
+    for method in TINS:
+        own = f"{method.upper()}: 2 m, 30 points, 15 m"
+        makers = {f"{method.upper()}: {name}": _modified(method, outliers=_found_by(**c)) for name, c in tried.items()}
+        out += _variants("12. search for low clusters", own, {own: _with(method)} | makers)
     return out
 
 
-def _tiled(margin: float | None) -> Runner:
-    """Labels of equal tiles, each filtered together with the points less than ``margin`` metres around it (None =
-    ``halo()`` of the filter). Grids are those of the whole."""
+def _found_by(farther: int = outliers.FARTHER, **constants: Any) -> Callable[..., Outliers]:
+    """The ``outliers`` of a method, by the search with other constants. ``farther``: 1 leaves out that for larger clusters."""
 
-    def run(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
-        halo = filter_.halo() if margin is None else margin
-        xy, coordinates = cloud.xyz[:, :2].astype(np.float64), cloud.coordinates()
-        count = np.maximum(1, np.round(np.ptp(xy, axis=0) / TILE))
-        low, side = xy.min(axis=0), np.ptp(xy, axis=0) / count
-        home = np.minimum((xy - low) // side, count - 1)
-        ground = np.zeros(len(cloud), bool)
-        for tile in np.unique(home, axis=0):
-            corner = low + tile * side
-            near = np.flatnonzero(((xy >= corner - halo) & (xy <= corner + side + halo)).all(axis=1))
-            part = jf.PointCloud.from_arrays(coordinates[near], anchor=cloud.anchor)
-            own = (home[near] == tile).all(axis=1)
-            ground[near[own]] = filter_(part, workers=1).ground[own]
-        return ground
+    def found(self: Any, points: Points, workers: int | None) -> Outliers:
+        before, outliers.FARTHER = outliers.FARTHER, farther
+        try:
+            barred = outliers.low_clusters(points, **constants).barred
+        finally:
+            outliers.FARTHER = before
+        return Outliers(barred, barred)
 
-    return run
+    return found
 
 
 def _smrf() -> list[Variant]:
     """13. The structuring element of SMRF, and how it fills empty cells and those of objects."""
-    choice = "13. element and inpainting of SMRF"
-    return [
-        Variant(choice, "SMRF: disks, membrane", _with("smrf"), baseline=True),
-        Variant(choice, "SMRF: squares, membrane", _modified("smrf", **_smrf_steps("square", _membrane))),
-        Variant(choice, "SMRF: diamonds, membrane", _modified("smrf", **_smrf_steps("diamond", _membrane))),
-        Variant(choice, "SMRF: disks, nearest cell", _modified("smrf", **_smrf_steps("disk", fill_nearest))),
-        Variant(choice, "SMRF: disks, triangles", _modified("smrf", **_smrf_steps("disk", _triangles))),
-        Variant(choice, "SMRF: disks, inverse distance", _modified("smrf", **_smrf_steps("disk", _inverse))),
-    ]
+    ways = {
+        "disks, membrane": ("disk", _membrane), "squares, membrane": ("square", _membrane),
+        "diamonds, membrane": ("diamond", _membrane), "disks, nearest cell": ("disk", fill_nearest),
+        "disks, triangles": ("disk", _triangles),
+    }  # fmt: skip
+    makers = {f"SMRF: {name}": _modified("smrf", **_smrf_steps(*how)) for name, how in ways.items()}
+    own = "SMRF: disks, membrane"
+    return _variants("13. element and inpainting of SMRF", own, makers | {own: _with("smrf")})
 
 
 Fill = Callable[[jax.Array, jax.Array, jax.Array], Any]
@@ -504,31 +429,14 @@ def _membrane(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
 
 def _triangles(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
     """Linear in the Delaunay triangles of the known cells, and the nearest of them outside."""
-    cells, values, holes, filled = _holes(z, known, inside)
+    taken, hole = np.asarray(known & inside), np.asarray(inside & ~known)
+    cells, holes, values = np.argwhere(taken), np.argwhere(hole), np.asarray(z)[taken].astype(np.float64)
     height = LinearNDInterpolator(cells, values)(holes)
     outside = np.isnan(height)
     height[outside] = values[cKDTree(cells).query(holes[outside])[1]]
-    return filled(height)
-
-
-def _inverse(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
-    """Means of the 12 nearest known cells, weighted by the inverse of the squared distance."""
-    cells, values, holes, filled = _holes(z, known, inside)
-    distance, nearest = cKDTree(cells).query(holes, range(1, min(12, len(cells)) + 1))
-    weight = distance**-2.0
-    return filled((weight * values[nearest]).sum(axis=1) / weight.sum(axis=1))
-
-
-def _holes(z: jax.Array, known: jax.Array, inside: jax.Array) -> tuple[np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Known cells i64[k, 2] and their elevations, holes i64[h, 2], and what puts elevations f64[h] into these."""
-    taken, hole = np.asarray(known & inside), np.asarray(inside & ~known)
-
-    def filled(height: np.ndarray) -> jax.Array:
-        out = np.array(z)
-        out[hole] = height
-        return jax.numpy.asarray(out)
-
-    return np.argwhere(taken), np.asarray(z)[taken].astype(np.float64), np.argwhere(hole), filled
+    out = np.array(z)
+    out[hole] = height
+    return jax.numpy.asarray(out)
 
 
 def _ppdf() -> list[Variant]:
@@ -537,11 +445,9 @@ def _ppdf() -> list[Variant]:
     def upward(self: Any, distance: np.ndarray, limit: float) -> np.ndarray:
         return (distance >= 0) & (distance <= limit)
 
-    choice = "14. direction of PPDF"
-    return [
-        Variant(choice, "PPDF: upward and downward", _with("ppdf"), baseline=True),
-        Variant(choice, "PPDF: upward only", _modified("ppdf", _within=upward)),
-    ]
+    both = "PPDF: upward and downward"
+    makers = {both: _with("ppdf"), "PPDF: upward only": _modified("ppdf", _within=upward)}
+    return _variants("14. direction of PPDF", both, makers)
 
 
 def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[Row]:
@@ -552,26 +458,19 @@ def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[
     cloud = jf.read(path)
     table = {(v.choice, v.name): v for v in variants()}
     done: dict[str, np.ndarray] = {}  # labels of unchanged methods: the baseline of one choice is that of others
-
-    def whole(filter_: jf.Filter) -> np.ndarray:
-        key = search.digest(filter_)
-        if key not in done:
-            done[key] = run_filter(filter_, cloud)
-        return done[key]
-
     rows = []
     for name in names:
         variant = table[name]
         row: Row = {"choice": variant.choice, "variant": variant.name, "sample": sample}
         try:
             filter_ = variant.make(sample)
-            row["key"] = search.digest(filter_)
-            plain = variant.run is run_filter and type(filter_) in jf.FILTERS.values()
+            key = repr(filter_)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", jf.JaxfilterWarning)
-                ground = whole(filter_) if plain else variant.run(filter_, cloud)
-                if variant.tiled:
-                    row["changed"] = 100 * float(np.mean(ground != whole(filter_)))
+                plain = variant.run is run_filter and type(filter_) in jf.FILTERS.values()
+                ground = done[key] if plain and key in done else variant.run(filter_, cloud)
+            if plain:
+                done[key] = ground
             counts = jf.evaluate(ground, cloud.reference).confusion.ravel().tolist()
             row |= dict(zip(search.COUNTS, counts, strict=True)) | {"status": "OK"}
         except Exception as error:
@@ -584,111 +483,80 @@ def main(arguments: list[str] | None = None) -> None:
     """Run what the command line asks for, as far as it is not at hand, and write the report."""
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(given)
-    numbers = options.samples or list(QUICK if options.quick else samples.SAMPLES)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "runs.csv"
-    if options.fresh:
-        path.unlink(missing_ok=True)
-    chosen = [v for v in variants() if not options.choices or v.choice.split(".")[0] in options.choices]
-    have = {(row["choice"], row["variant"], row["sample"]): row for row in (read_csv(path) if path.exists() else [])}
-    if have and not all(set(row) == set(COLUMNS) for row in have.values()):  # a table of before a column was added
-        write_csv(path, [{key: row.get(key, "") for key in COLUMNS} for row in have.values()])
+    path, every = options.out / "runs.csv", variants()
+    chosen = [v for v in every if not options.choices or v.choice.split(".")[0] in options.choices]
+    known = {(v.choice, v.name) for v in every}
+    before = [{key: row[key] for key in COLUMNS} for row in (read_csv(path) if path.exists() else [])]
+    have = {_place(row): row for row in before if (row["choice"], row["variant"]) in known}
+    keys = {(v.choice, v.name, f"samp{n}"): _key(v, f"samp{n}") for n in options.samples for v in chosen}
+    missing = [place for place, key in keys.items() if place not in have or have[place]["key"] != key]
     tasks = []
-    for number in numbers:
-        name = f"samp{number}"
-        missing = [(v.choice, v.name) for v in chosen if not _at_hand(have.get((v.choice, v.name, name)), v, name)]
-        parts = [missing[i : i + 30] for i in range(0, len(missing), 30)]
-        tasks += [(name, samples.sample_path(folder, number), part) for part in parts]
+    for number in options.samples:
+        names = [(choice, name) for choice, name, sample in missing if sample == f"samp{number}"]
+        parts = [names[i : i + 30] for i in range(0, len(names), 30)]
+        tasks += [(f"samp{number}", samples.sample_path(folder, number), part) for part in parts]
     for i, (task, rows) in enumerate(search.results(evaluate, tasks, options.processes), 1):
-        new = not path.exists()
-        with open(path, "a", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n", restval="")
-            if new:
-                writer.writeheader()
-            writer.writerows(rows)
+        for row in rows:
+            have[_place(row)] = dict.fromkeys(COLUMNS, "") | row | {"key": keys[_place(row)]}
+        write_csv(path, list(have.values()))
         print(f"{i}/{len(tasks)}: {task[0]}, {len(rows)} variants", file=sys.stderr, flush=True)
-    wanted = {(v.choice, v.name, f"samp{n}") for v in chosen for n in numbers}
-    latest = {(row["choice"], row["variant"], row["sample"]): row for row in read_csv(path)}
-    write_csv(path, list(latest.values()))
-    rows = [row | protocols.scores(row) for key, row in latest.items() if key in wanted]
+    rows = [have[place] | protocols.scores(have[place]) for place in keys]
     lines = summary(rows, chosen)
     write_csv(options.out / "summary.csv", lines)
     command = shlex.join(["python", "experiments/ablations/run.py", *given])
     methods = {v.name.split(":")[0].lower() for v in chosen}
-    write_page(options.out / "results.md", report(lines, rows, len(numbers)), command, methods)
+    write_page(options.out / "results.md", report(lines, rows, len(options.samples)), command, methods)
     figure(lines, options.out / "total.png")
     print(f"results are in {options.out}")
 
 
-def _at_hand(row: Row | None, variant: Variant, sample: str) -> bool:
+def _place(row: Row) -> tuple[str, str, str]:
+    return row["choice"], row["variant"], row["sample"]
+
+
+def _key(variant: Variant, sample: str) -> str:
+    """A word for the parameters of the filter and the labels of its method; empty for one that is no filter."""
     try:
-        return row is not None and row["key"] == search.digest(variant.make(sample))
+        return search.digest(variant.make(sample))
     except jf.ParameterError:
-        return row is not None
+        return ""
 
 
 def summary(rows: Sequence[Row], chosen: Sequence[Variant]) -> list[Row]:
     """One line per variant: means and medians over the samples, and on how many it is better or worse than its baseline."""
-    by = {
-        (v.choice, v.name): [row for row in rows if (row["choice"], row["variant"]) == (v.choice, v.name)]
-        for v in chosen
-    }
+    by: dict[tuple[str, str], dict[str, Row]] = {(v.choice, v.name): {} for v in chosen}
+    for row in rows:
+        by[row["choice"], row["variant"]][row["sample"]] = row
+    own = {(v.choice, v.name.split(":")[0]): by[v.choice, v.name] for v in chosen if v.baseline}
     out = []
     for variant in chosen:
         mine = by[variant.choice, variant.name]
-        good = [row for row in mine if row["total"] == row["total"]]
+        good = [row for row in mine.values() if row["total"] == row["total"]]
         line: Row = {
-            "choice": variant.choice,
-            "variant": variant.name,
-            "baseline": variant.baseline,
-            "labels": variant.labels,
-            "samples": len(good),
-            "failed": len(mine) - len(good),
-        }
-        if good:
-            for key in protocols.SCORES:
-                line[key] = statistics.fmean(row[key] for row in good)
-                line[f"median_{key}"] = statistics.median(row[key] for row in good)
-        if variant.tiled and good:
-            changed = [row["changed"] for row in good]
-            line |= {"changed": statistics.fmean(changed), "most_changed": max(changed)}
-        base = next(
-            (
-                by[v.choice, v.name]
-                for v in chosen
-                if v.baseline and v.choice == variant.choice and v.name.split(":")[0] == variant.name.split(":")[0]
-            ),
-            [],
-        )
-        pairs = [(b["total"], row["total"]) for row in good for b in base if b["sample"] == row["sample"]]
-        if pairs and not variant.baseline:
-            line |= {
-                "difference": statistics.fmean(t - b for b, t in pairs),
-                "better": sum(t < b for b, t in pairs),
-                "worse": sum(t > b for b, t in pairs),
-            }
+            "choice": variant.choice, "variant": variant.name, "baseline": variant.baseline, "labels": variant.labels,
+            "samples": len(good), "failed": len(mine) - len(good),
+        }  # fmt: skip
+        for key in protocols.SCORES if good else ():
+            line[key] = statistics.fmean(row[key] for row in good)
+            line[f"median_{key}"] = statistics.median(row[key] for row in good)
+        base = own.get((variant.choice, variant.name.split(":")[0]), {})
+        gains = [row["total"] - base[row["sample"]]["total"] for row in good if row["sample"] in base]
+        if gains and not variant.baseline:
+            line |= {"difference": statistics.fmean(gains)}
+            line |= {"better": sum(gain < 0 for gain in gains), "worse": sum(gain > 0 for gain in gains)}
         out.append(line)
     return out
 
 
 TABLE: list[Column] = [
-    ("title", "variant", ""),
-    ("type1", "T.I", ".2f"),
-    ("type2", "T.II", ".2f"),
-    ("total", "TE", ".2f"),
-    ("kappa", "kappa", ".2f"),
-    ("median_type1", "T.I, median", ".2f"),
-    ("median_type2", "T.II, median", ".2f"),
-    ("median_total", "TE, median", ".2f"),
-    ("median_kappa", "kappa, median", ".2f"),
-    ("difference", "TE less baseline", "+.2f"),
-    ("better", "better on", "d"),
-    ("worse", "worse on", "d"),
-    ("changed", "labels changed, %", ".2f"),
-    ("most_changed", "at most", ".2f"),
+    ("title", "variant", ""), ("type1", "T.I", ".2f"), ("type2", "T.II", ".2f"), ("total", "TE", ".2f"),
+    ("kappa", "kappa", ".2f"), ("median_type1", "T.I, median", ".2f"), ("median_type2", "T.II, median", ".2f"),
+    ("median_total", "TE, median", ".2f"), ("median_kappa", "kappa, median", ".2f"),
+    ("difference", "TE less baseline", "+.2f"), ("better", "better on", "d"), ("worse", "worse on", "d"),
     ("failed", "failed", "d"),
-]
+]  # fmt: skip
 """Means, medians, and the comparison with the baseline of the same method."""
 
 
@@ -704,25 +572,9 @@ def report(lines: Sequence[Row], rows: Sequence[Row], count: int) -> str:
         part = [line | {"title": _title(line)} for line in lines if line["choice"] == choice]
         used = [column for column in TABLE if any(line.get(column[0]) not in (None, 0) for line in part)]
         text += [f"## {choice}", markdown(used, part)]
-        if choice.startswith("12"):
-            text.append(_about_tiles())
         if choice == "6. angle limit":
             text += ["Mean total error by terrain class of Li et al. (2021):", markdown(*_by_class(rows, choice))]
     return "\n\n".join([*text, "![Mean total error per variant](total.png)"]) + "\n"
-
-
-def _about_tiles() -> str:
-    listed = []
-    for name in spaces.method_names():
-        halos = [spaces.fixed(name, f"samp{number}").halo() for number in samples.SAMPLES]
-        ends = f"{min(halos):,.0f}", f"{max(halos):,.0f}"
-        listed.append(f"{name.upper()} {' to '.join(dict.fromkeys(ends))}")
-    return (
-        f"Samples cut into equal tiles of about {TILE:g} m, each filtered with the points around it up to the halo, on the grids "
-        "of the whole sample. `Labels changed`: share of the points that are labelled otherwise than in the whole, mean and "
-        f"largest over the samples. `halo()` in metres: {', '.join(listed)}. Where the halo exceeds the sample, every "
-        "tile is the whole sample."
-    )
 
 
 def _title(line: Row) -> str:
@@ -751,34 +603,26 @@ def figure(lines: Sequence[Row], path: Path) -> None:
     chart = Figure(figsize=(7.4, 0.16 * sum(map(len, parts)) + 0.42 * len(parts) + 0.6), layout="constrained")
     axes = chart.subplots(len(parts), 1, squeeze=False, sharex=True, height_ratios=[len(p) + 0.6 for p in parts])[:, 0]
     for ax, choice, part in zip(axes, choices, parts, strict=True):
-        y = np.arange(len(part))
-        methods = list(dict.fromkeys(line["variant"].split(":")[0] for line in part))
-        for k, method in enumerate(methods):
-            colour = COLOURS.get(method, COLOURS[("FPTD", "PTD")[k % 2]])  # where there are many, every other one
+        for method in dict.fromkeys(line["variant"].split(":")[0] for line in part):
             mine = [i for i, line in enumerate(part) if line["variant"].startswith(f"{method}:")]
+            colour = COLOURS.get(method, "#0072B2")
             base = [part[i]["total"] for i in mine if part[i]["baseline"]]
-            if base:
-                ax.vlines(base[0], min(mine) - 0.4, max(mine) + 0.4, color=colour, linewidth=0.8, alpha=0.6)
+            ax.vlines(base, min(mine) - 0.4, max(mine) + 0.4, color=colour, linewidth=0.8, alpha=0.6)
             ax.scatter([part[i]["total"] for i in mine], mine, s=16, color=colour, zorder=3)
-            ax.scatter(
-                [part[i]["median_total"] for i in mine],
-                mine,
-                s=16,
-                facecolors="none",
-                edgecolors=colour,
-                linewidths=0.8,
-                zorder=2,
-            )
-        ax.set_yticks(y, [line["variant"] + (" †" if line["labels"] else "") for line in part], fontsize=6)
+            ring = {"facecolors": "none", "edgecolors": colour, "linewidths": 0.8}
+            ax.scatter([part[i]["median_total"] for i in mine], mine, s=16, zorder=2, **ring)
+        ax.set_yticks(
+            range(len(part)), [line["variant"] + (" †" if line["labels"] else "") for line in part], fontsize=6
+        )
         ax.set_ylim(len(part) - 0.4, -0.6)
         ax.set_title(choice, fontsize=7.5, loc="left", pad=2)
         ax.set_xscale("log")
         ax.spines[["top", "right"]].set_visible(False)
         ax.tick_params(axis="x", labelsize=7)
         ax.grid(axis="x", which="both", linewidth=0.3, alpha=0.5)
-    ticks = (2, 3, 5, 7, 10, 15, 20, 30, 50, 70)
     low, high = axes[-1].get_xlim()
-    axes[-1].set_xticks([t for t in ticks if low <= t <= high], [str(t) for t in ticks if low <= t <= high])
+    ticks = [tick for tick in (2, 3, 5, 7, 10, 15, 20, 30, 50, 70) if low <= tick <= high]
+    axes[-1].set_xticks(ticks, [str(tick) for tick in ticks])
     axes[-1].minorticks_off()
     axes[-1].set_xlabel("total error, %: mean (dot) and median (ring) over the samples; line: baseline", fontsize=8)
     save_png(chart, path, 150)
@@ -789,12 +633,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
     parser.add_argument(
-        "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all 15]"
+        "--samples", type=samples.sample_name, nargs="+", default=samples.SAMPLES, help="such as 11 24 [all]"
     )
     parser.add_argument("--choices", nargs="+", metavar="NUMBER", help="such as 1 7 [all]")
-    parser.add_argument("--processes", "--workers", type=int, default=2, help="of one thread each [%(default)s]")
-    parser.add_argument("--fresh", action="store_true", help="discard what an earlier run left in --out")
-    parser.add_argument("--quick", action="store_true", help=f"samples {', '.join(QUICK)}")
+    parser.add_argument("--processes", type=int, default=2, help="of one thread each [%(default)s]")
     return parser
 
 

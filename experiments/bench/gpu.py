@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import shlex
 import statistics
@@ -85,10 +86,7 @@ def measure(size: float, path: Path) -> None:
 def simulated(size: float, seed: int) -> jf.PointCloud:
     """A scene of town, wood and fields with its truth."""
     scene = jf.scenes.make("benchmark", size=size, density=1.0, seed=seed)
-    return jf.PointCloud.from_arrays(
-        scene.cloud.coordinates(), return_number=scene.cloud.return_number,
-        number_of_returns=scene.cloud.number_of_returns, reference=scene.truth,
-    )  # fmt: skip
+    return dataclasses.replace(scene.cloud, reference=scene.truth)
 
 
 def timed(function: Callable[[], Any], repeats: int = 3) -> tuple[Any, float, float]:

@@ -1,6 +1,6 @@
 """One measurement in a process of its own: ``python measure.py TASK``, TASK and the answer on standard output as JSON.
 
-A task names a ``method`` of the registry with ``parameters``, the ``cloud`` (LAS) with its ``truth`` (bool[n], .npy), and
+A task names a ``method`` of the registry, the ``cloud`` (LAS) with its ``truth`` (bool[n], .npy), and
 how many ``repeats`` of the warm call to make. Filters return NumPy arrays, so a call has ended when it returns.
 """
 
@@ -31,7 +31,7 @@ def measure(task: dict[str, Any]) -> dict[str, Any]:
     import jaxfilter as jf
     from jaxfilter.core import compilation
 
-    filter_ = jf.FILTERS[task["method"]](**task["parameters"])
+    filter_ = jf.FILTERS[task["method"]]()
     jax.devices()
     imported = time.perf_counter() - START
     compilation.watch_compilations()
@@ -39,13 +39,7 @@ def measure(task: dict[str, Any]) -> dict[str, Any]:
     start = time.perf_counter()
     cloud = jf.read(task["cloud"], units="m")
     read = time.perf_counter() - start
-    out = {
-        "device": jax.devices()[0].device_kind,
-        "points": len(cloud),
-        "import_seconds": imported,
-        "read_seconds": read,
-    }
-
+    out: dict[str, Any] = {"points": len(cloud), "import_seconds": imported, "read_seconds": read}
     start = time.perf_counter()
     result = filter_(cloud)
     out["first_seconds"] = time.perf_counter() - start
@@ -60,7 +54,6 @@ def measure(task: dict[str, Any]) -> dict[str, Any]:
         out["warm_seconds"], out["warm_cpu_seconds"] = statistics.median(wall), statistics.median(cpu)
     out["peak_bytes"] = peak_bytes()
     truth = np.load(task["truth"])
-    out["ground_share"] = 100 * float(truth[cloud.candidate].mean())
     scores = jf.evaluate(result, truth, candidates_only=True)
     out |= {"type1": scores.type1, "type2": scores.type2, "total": scores.total, "kappa": scores.kappa}
     if wall:
@@ -79,9 +72,9 @@ def another_of_its_bucket(cloud: Any) -> Any:
     """
     import numpy as np
 
-    import jaxfilter as jf
     from jaxfilter.core.compilation import bucket
     from jaxfilter.engines.grid.cells import padded_length
+    from jaxfilter.surveys.tiles import part_of
 
     def sizes(points: int, width: float) -> list[int]:
         return [bucket(points), *(padded_length(int(width / cell) + more) for cell in (1.0, 10.0) for more in (0, 3))]
@@ -90,11 +83,7 @@ def another_of_its_bucket(cloud: Any) -> Any:
     for share in (0.97, 0.98, 0.99, 0.995):
         kept = x < np.float32(share * width)
         if sizes(int(kept.sum()), share * width) == sizes(len(cloud), width):
-            return jf.PointCloud.from_arrays(
-                cloud.coordinates()[kept],
-                return_number=cloud.return_number[kept],
-                number_of_returns=cloud.number_of_returns[kept],
-            )
+            return part_of(cloud, kept)
     raise SystemExit(
         f"{len(cloud)} points over {width:.0f} m are at the edge of a bucket: choose another number of points"
     )

@@ -15,12 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[2]
 PEERS = {"SciPy": "scipy", "scikit-image": "skimage", "OpenCV": "cv2", "NumPy": "numpy"}
 RADII = (4, 18)
 """Of disks, cells: as at the beginning and at the end of SMRF."""
-MILLIONS = (0.25, 1.0, 4.0)
-REPEATS = 5
+MILLIONS = (1.0, 4.0)
+REPEATS = 3
 Call = Callable[[], Any]
 
 
@@ -31,39 +33,39 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(measured(*json.loads(given[1]))))
         return
     sys.path.insert(0, str(ROOT))
-    from experiments.report import markdown, write_csv, write_page
+    from experiments.report import Column, Row, markdown, write_csv, write_page
 
-    options = _parser().parse_args(given)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--millions", type=float, nargs="+", default=MILLIONS, help="millions of cells [%(default)s]")
+    parser.add_argument(
+        "--out", type=Path, default=Path(__file__).parent / "results", help="folder for ops.md and ops.csv"
+    )
+    options = parser.parse_args(given)
     options.out.mkdir(parents=True, exist_ok=True)
     missing = [name for name, module in PEERS.items() if importlib.util.find_spec(module) is None]
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     for millions in options.millions:
-        for operation in OPERATIONS:
-            row: dict[str, Any] = {"operation": OPERATIONS[operation][0], "millions": millions}
-            for who in ("jaxfilter", *PEERS):
-                if who not in missing and who in OPERATIONS[operation][1]:
-                    row |= _in_process(operation, who, millions)
+        for operation, (title, makers) in OPERATIONS.items():
+            row: Row = {"operation": title, "millions": millions}
+            for who in makers.keys() - set(missing):
+                row |= _in_process(operation, who, millions)
             rows.append(row)
             print(row, flush=True)
-            write_csv(options.out / "ops.csv", rows)
-    columns: list[tuple[str, str, str]] = [("operation", "operation", "s"), ("millions", "M cells", "g")]
+    columns: list[Column] = [("operation", "operation", ""), ("millions", "M cells", "g")]
     columns += [("jaxfilter_first", "jaxfilter, first call", ".3g")]
     columns += [(who, who, ".3g") for who in ("jaxfilter", *PEERS) if any(who in row for row in rows)]
-    columns += [("differ", "cells that differ", "s")]
+    columns += [("differ", "cells that differ", "")]
     text = [
         "# Operations beside those of other libraries",
-        "",
         f'CPU seconds of all threads, median of {REPEATS} calls after a first one; "first call" is with compilation. Each row '
         "and library has a process of its own. A cell is empty where the library has no such operation. The last column counts "
         "the cells in which a library differs from jaxfilter by more than 1e-4: other rules of borders, of equally near cells, "
         "and of when an iteration ends.",
-        "",
         markdown(columns, rows),
-        "",
         *([f"Not installed, so left out: {', '.join(missing)}."] if missing else []),
     ]
-    write_page(options.out / "ops.md", "\n".join(text), shlex.join(["python", "experiments/bench/ops.py", *given]))
-    print("\n".join(text))
+    write_csv(options.out / "ops.csv", rows)
+    write_page(options.out / "ops.md", "\n\n".join(text), shlex.join(["python", "experiments/bench/ops.py", *given]))
 
 
 def _in_process(operation: str, who: str, millions: float) -> dict[str, Any]:
@@ -80,8 +82,6 @@ def _in_process(operation: str, who: str, millions: float) -> dict[str, Any]:
 def measured(operation: str, who: str, millions: float) -> dict[str, Any]:
     """CPU seconds of the first call and of later ones, and in how many cells another library differs."""
     sys.path.insert(0, str(ROOT))
-    import numpy as np
-
     data, makers = grid(millions), OPERATIONS[operation][1]
     call = makers[who](data)
     start = time.process_time()
@@ -101,8 +101,6 @@ def measured(operation: str, who: str, millions: float) -> dict[str, Any]:
 
 def grid(millions: float) -> dict[str, Any]:
     """A square surface with buildings, 30 % of its cells empty, and points over it: the same for all libraries."""
-    import numpy as np
-
     side, rng = round((1e6 * millions) ** 0.5), np.random.default_rng(0)
     row, column = np.mgrid[:side, :side].astype(np.float32)
     z = 5 * np.sin(row / 90) + 4 * np.cos(column / 70) + rng.normal(0, 0.05, (side, side))
@@ -114,8 +112,6 @@ def grid(millions: float) -> dict[str, Any]:
 
 def disk(radius: int) -> Any:
     """bool[2 r + 1, 2 r + 1]: cells within the radius."""
-    import numpy as np
-
     row, column = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     return row**2 + column**2 <= radius**2
 
@@ -127,7 +123,6 @@ def _openings(radius: int) -> dict[str, Callable[[dict[str, Any]], Call]]:
         return lambda: opening(data["z"], radius, reach=radius)
 
     def scipy(data: dict[str, Any]) -> Call:
-        import numpy as np
         from scipy import ndimage
 
         def call() -> Any:
@@ -150,8 +145,6 @@ def _openings(radius: int) -> dict[str, Callable[[dict[str, Any]], Call]]:
 
 
 def _own_minima(data: dict[str, Any]) -> Call:
-    import numpy as np
-
     from jaxfilter.engines.grid.minima import cell_minima
 
     frame, extent = np.array([0, 0, 2], np.float32), np.full(2, -(-data["side"] // 2), np.int32)
@@ -159,8 +152,6 @@ def _own_minima(data: dict[str, Any]) -> Call:
 
 
 def _numpy_minima(data: dict[str, Any]) -> Call:
-    import numpy as np
-
     side, xyz = -(-data["side"] // 2), data["xyz"]
 
     def call() -> Any:
@@ -169,20 +160,6 @@ def _numpy_minima(data: dict[str, Any]) -> Call:
         lowest = np.full(side * side, np.inf, np.float32)
         np.minimum.at(lowest, at, xyz[:, 2])
         return lowest
-
-    return call
-
-
-def _scipy_minima(data: dict[str, Any]) -> Call:
-    import numpy as np
-    from scipy.stats import binned_statistic_2d
-
-    side, xyz = -(-data["side"] // 2), data["xyz"]
-    edges = np.arange(side + 1) * 2.0
-
-    def call() -> Any:
-        lowest = binned_statistic_2d(xyz[:, 1], xyz[:, 0], xyz[:, 2], "min", bins=(edges, edges)).statistic
-        return np.where(np.isnan(lowest), np.inf, lowest).ravel()
 
     return call
 
@@ -211,7 +188,6 @@ def _own_membrane(data: dict[str, Any]) -> Call:
 
 def _scipy_membrane(data: dict[str, Any]) -> Call:
     """Laplace's equation in the holes by a sparse direct solver."""
-    import numpy as np
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
 
@@ -240,8 +216,6 @@ def _scipy_membrane(data: dict[str, Any]) -> Call:
 
 def _batches(data: dict[str, Any]) -> tuple[Any, Any]:
     """A sixteenth as many blocks of 16 points as there are cells, and which of their rows count."""
-    import numpy as np
-
     rng, count = np.random.default_rng(1), data["side"] ** 2 // 16
     return rng.random((count, 16, 3), np.float32), np.arange(16) < rng.integers(8, 17, count)[:, None]
 
@@ -255,8 +229,6 @@ def _own_planes(data: dict[str, Any]) -> Call:
 
 def _numpy_planes(data: dict[str, Any]) -> Call:
     """The normal equations about the mean, all blocks at once."""
-    import numpy as np
-
     xyz, mask = _batches(data)
 
     def call() -> Any:
@@ -269,8 +241,6 @@ def _numpy_planes(data: dict[str, Any]) -> Call:
 
 
 def _facet_parts(data: dict[str, Any]) -> tuple[Any, Any]:
-    import numpy as np
-
     rng, count = np.random.default_rng(2), data["side"] ** 2
     corners = np.stack([rng.random((3, count)), rng.random((3, count)), rng.random((3, count))], axis=1)
     return corners.astype(np.float32), rng.random((3, count), np.float32)
@@ -279,7 +249,6 @@ def _facet_parts(data: dict[str, Any]) -> tuple[Any, Any]:
 def _own_facets(data: dict[str, Any]) -> Call:
     import jax
     import jax.numpy as jnp
-    import numpy as np
 
     from jaxfilter.engines.tin import facets
 
@@ -291,8 +260,6 @@ def _own_facets(data: dict[str, Any]) -> Call:
 
 def _numpy_facets(data: dict[str, Any]) -> Call:
     """Distance to the plane, and angles to the corners, as in Axelsson (2000)."""
-    import numpy as np
-
     corners, points = _facet_parts(data)
 
     def call() -> Any:
@@ -309,25 +276,13 @@ def _numpy_facets(data: dict[str, Any]) -> Call:
 
 OPERATIONS: dict[str, tuple[str, dict[str, Callable[[dict[str, Any]], Call]]]] = {
     **{f"opening{r}": (f"opening, disk of radius {r}", _openings(r)) for r in RADII},
-    "minima": (
-        "lowest of a point per cell, cells of 2 x 2",
-        {"jaxfilter": _own_minima, "NumPy": _numpy_minima, "SciPy": _scipy_minima},
-    ),
+    "minima": ("lowest of a point per cell, cells of 2 x 2", {"jaxfilter": _own_minima, "NumPy": _numpy_minima}),
     "nearest": ("30 % filled with the nearest", {"jaxfilter": _own_nearest, "SciPy": _scipy_nearest}),
     "membrane": ("30 % filled by a membrane, to 1e-5", {"jaxfilter": _own_membrane, "SciPy": _scipy_membrane}),
     "facets": ("a point and its facet per cell", {"jaxfilter": _own_facets, "NumPy": _numpy_facets}),
     "planes": ("a plane through 8 to 16 points per 16 cells", {"jaxfilter": _own_planes, "NumPy": _numpy_planes}),
 }
 """What is measured, and how each library does it."""
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--millions", type=float, nargs="+", default=MILLIONS, help="millions of cells [%(default)s]")
-    parser.add_argument(
-        "--out", type=Path, default=Path(__file__).parent / "results", help="folder for ops.md and ops.csv"
-    )
-    return parser
 
 
 if __name__ == "__main__":

@@ -1,18 +1,18 @@
-"""Speed and peak memory against number of points, density and area, beside other programs. See README.md."""
+"""Speed and peak memory against number of points, beside other programs; and reports. See README.md."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import itertools
 import json
 import os
 import shlex
+import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,371 +20,186 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.bench import peers
-from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
+from experiments.report import Column, Row, markdown, write_csv, write_page
 
 HERE = Path(__file__).parent
 COMMAND = "import sys; from jaxfilter.cli import main; sys.exit(main())"
-DENSE = {"vertex_spacing": 0.7, "noise_floor": 0.1}
+METHODS = ("smrf", "fptd")
+"""Of reports."""
+SLIDE = """() => { const s = document.getElementById('slider'), out = report.facts.values.map(() => Infinity);
+for (let pass = 0; pass < 3; pass++) for (let k = 0; k < out.length; k++) { const t = performance.now(); s.value = k;
+s.dispatchEvent(new Event('input')); out[k] = Math.min(out[k], performance.now() - t); } return out; }"""
+"""Milliseconds of every position, the best of three passes."""
 
-
-@dataclasses.dataclass(frozen=True)
-class Case:
-    """A filter with its parameters, and the least density (points per m2) at which it is of interest."""
-
-    method: str
-    parameters: dict[str, float]
-    least_density: float = 0.0
-
-
-CASES = {name: Case(name, {}) for name in jf.FILTERS} | {
-    f"{name}_spaced": Case(name, DENSE, 4.0)
-    for name, method in jf.FILTERS.items()
-    if all(hasattr(method, field) for field in DENSE)
-}
-"""Every method with its defaults; ``_spaced``: at most one vertex per square of 0.7 m, and points within 0.1 m of their
-facet are ground."""
+TIMES: list[Column] = [
+    ("name", "method", ""), ("points", "points", ",d"), ("warm_seconds", "warm, s", ".2f"),
+    ("warm_cpu_seconds", "warm, CPU s", ".2f"), ("command_seconds", "command, s", ".2f"),
+    ("command_cpu_seconds", "command, CPU s", ".2f"), ("command_peak", "command, GB", ".2f"),
+    ("peak", "in process, GB", ".2f"), ("total", "total error, %", ".2f"), ("kappa", "kappa, %", ".2f"),
+]  # fmt: skip
+STARTS: list[Column] = [
+    ("name", "method", ""), ("points", "points", ",d"), ("import_seconds", "import, s", ".2f"),
+    ("read_seconds", "read, s", ".2f"), ("first_seconds", "first call, s", ".2f"),
+    ("cached_first_seconds", "first call, cached, s", ".2f"), ("warm_seconds", "warm call, s", ".2f"),
+    ("compilations", "compiled", "d"), ("compile_seconds", "compiling, s", ".2f"),
+    ("second_points", "second cloud, points", ",d"), ("second_compilations", "it compiles", "d"),
+]  # fmt: skip
+REPORTS: list[Column] = [
+    ("method", "method", ""), ("points", "points", ",d"), ("steps", "steps of the slider", "d"), ("report", "written, s", ".1f"),
+    ("cpu", "written, CPU s", ".1f"), ("size", "MB", ".1f"), ("load", "page ready, s", ".1f"),
+    ("slider", "slider, median, ms", ".0f"), ("slowest", "slider, slowest, ms", ".0f"),
+]  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure what the command line asks for and write tables and a figure."""
+    """Measure what the command line asks for and write the tables."""
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(given)
-    if options.platform:
-        os.environ["JAX_PLATFORMS"] = options.platform
-    rows, failures = measure_all(options)
-    if not rows:
-        raise SystemExit("nothing was measured")
-    if options.add:
-        rows = added(rows, options.out / "bench.csv")
-    large = options.page != "results"
-    write_csv(options.out / f"{options.page if large else 'bench'}.csv", rows)
-    text = report(rows, options.repeats)
-    command = shlex.join(["python", "experiments/bench/run.py", *given])
-    methods = [CASES[name].method for name in options.only if name in CASES]
-    write_page(options.out / f"{options.page}.md", text, command, (*methods, "scenes"))
-    if not large:
-        scaling(rows, options.out / "scaling.png")
-    print(text)
-    if failures:
-        raise SystemExit(f"{failures} measurements failed, see above")
-
-
-def added(rows: list[Row], path: Path) -> list[Row]:
-    """The rows with those of an earlier run that they do not replace, by density and name."""
-    earlier = [{k: v for k, v in row.items() if v != ""} for row in read_csv(path)] if path.exists() else []
-
-    def key(row: Row) -> tuple[float, str, int]:
-        return float(row["density"]), row["name"], int(row["points"])
-
-    known = {key(row) for row in rows}
-    names = [*CASES, *peers.ALL]
-    return sorted(
-        [*rows, *(row for row in earlier if key(row) not in known)],
-        key=lambda row: (float(row["density"]), names.index(row["name"]), int(row["points"])),
-    )
-
-
-def measure_all(options: argparse.Namespace) -> tuple[list[Row], int]:
-    """A row per method and scene, and how many measurements failed (out of memory, say)."""
-    scenes = options.out / "scenes"
-    scenes.mkdir(parents=True, exist_ok=True)
-    rows, failures = [], 0
-    for density, millions in itertools.product(options.densities, options.sizes):
-        place = make_scene(scenes, millions, density)
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(dir=options.out) as folder:
+        scenes = [make_scene(Path(folder), millions) for millions in sorted(options.sizes)]
         for name in options.only:
-            if density < CASES[name].least_density if name in CASES else millions > options.peer_limit:
-                continue
-            try:
-                row = {"name": name, "density": density, **measure_row(name, place, options)}
-            except subprocess.CalledProcessError as error:
-                _say(f"{name} at {density:g} points/m2, {millions:g} million points: {error}\n{error.stderr}")
-                failures += 1
-                continue
-            rows.append({**row, "area_km2": row["points"] / density / 1e6})
-            _say(
-                f"{name:12} {density:4g}/m2 {row['points']:>9,} points  warm {row.get('warm_seconds', np.nan):7.2f} s  "
-                f"command {row['command_seconds']:7.2f} s  total error {row.get('total', np.nan):5.2f} %"
-            )
-        if not options.keep_scenes:
-            for path in scenes.iterdir():
-                path.unlink()
-    return rows, failures
+            if name in jf.FILTERS:
+                rows += of_method(name, scenes, Path(folder) / name, options.repeats)
+            else:
+                rows.append({"name": name, "density": 1.0} | whole_command(name, scenes[0], Path(folder)))
+            print(rows[-1], file=sys.stderr, flush=True)
+    rows.sort(key=lambda row: (row["points"], options.only.index(row["name"])))
+    write_csv(options.out / ("bench.csv" if options.page == "results" else f"{options.page}.csv"), rows)
+    command = shlex.join(["python", "experiments/bench/run.py", *given])
+    reports = [of_report(name, options.reports) for name in METHODS] if options.reports else []
+    text = report(rows, reports, options.repeats)
+    write_page(options.out / f"{options.page}.md", text, command, (*options.only, "scenes"))
+    print(f"results are in {options.out}")
 
 
-def measure_row(name: str, place: Path, options: argparse.Namespace) -> Row:
-    """All figures of a method on a scene. Raises: subprocess.CalledProcessError."""
-    with tempfile.TemporaryDirectory(dir=options.out) as scratch:
-        row = measure_case(CASES[name], place, Path(scratch), options.repeats) if name in CASES else {}
-        return row | whole_command(name, place, Path(scratch))
-
-
-def make_scene(folder: Path, millions: float, density: float) -> Path:
-    """A scene of about so many million points as LAS, with its truth beside it as .npy; made once."""
-    path = folder / f"benchmark_{density:g}_{millions:g}M.las"
-    if not path.exists():
-        side = 1e3 * (millions / density) ** 0.5 / 1.04  # vegetation and edges add echoes: 3 to 13 % by scene
-        scene = jf.scenes.make("benchmark", size=side, density=density, seed=1)
-        jf.write(path, scene.cloud, np.zeros(len(scene), bool), reset="none")
-        np.save(path.with_suffix(".npy"), scene.truth)
+def make_scene(folder: Path, millions: float) -> Path:
+    """A scene of about so many million points at one per m2 as LAS, with its truth beside it as .npy."""
+    path, side = folder / f"benchmark_{millions:g}M.las", 1e3 * millions**0.5 / 1.04  # vegetation and edges add echoes
+    scene = jf.scenes.make("benchmark", size=side, density=1.0, seed=1)
+    jf.write(path, scene.cloud, np.zeros(len(scene), bool), reset="none")
+    np.save(path.with_suffix(".npy"), scene.truth)
     return path
 
 
-def measure_case(case: Case, place: Path, scratch: Path, repeats: int) -> Row:
-    """Two fresh processes with one compilation cache: the first finds it empty, the second filled."""
-    environment = os.environ | {"JAXFILTER_CACHE": str(scratch / "cache")}
-    task = {
-        "method": case.method,
-        "parameters": case.parameters,
-        "cloud": str(place),
-        "truth": str(place.with_suffix(".npy")),
-        "repeats": repeats,
-    }
-    row = _measured(task, environment)
-    again = _measured({**task, "repeats": 0}, environment)
-    return row | {"cached_first_seconds": again["first_seconds"], "cached_compile_seconds": again["compile_seconds"]}
+def of_method(name: str, scenes: list[Path], scratch: Path, repeats: int) -> list[Row]:
+    """A row per scene. The first process finds the compilation cache empty, all others find it filled."""
+    scratch.mkdir()
+    rows = []
+    for place in scenes:
+        task = {"method": name, "cloud": str(place), "truth": str(place.with_suffix(".npy")), "repeats": repeats}
+        row = _measured(task, scratch)
+        again = row.pop("first_seconds")
+        if place == scenes[0]:
+            row["first_seconds"] = again
+            again = _measured(task | {"repeats": 0}, scratch)["first_seconds"]
+        row |= {"cached_first_seconds": again} | whole_command(name, place, scratch)
+        rows.append({"name": name, "density": 1.0} | row)
+    return rows
 
 
-def _measured(task: dict[str, Any], environment: dict[str, str]) -> Row:
-    root = str(HERE.parents[1])
-    paths = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
-    done = subprocess.run(
-        [sys.executable, str(HERE / "measure.py"), json.dumps(task)],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=environment | {"PYTHONPATH": paths},
-    )
-    answer: Row = json.loads(done.stdout)
-    return answer
+def _environment(scratch: Path) -> dict[str, str]:
+    paths = [str(HERE.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return os.environ | {"JAXFILTER_CACHE": str(scratch / "cache"), "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def _measured(task: Row, scratch: Path) -> Row:
+    line = [sys.executable, str(HERE / "measure.py"), json.dumps(task)]
+    done = subprocess.run(line, stdout=subprocess.PIPE, text=True, check=True, env=_environment(scratch))
+    return dict(json.loads(done.stdout))
 
 
 def whole_command(name: str, place: Path, scratch: Path) -> Row:
-    """Wall and CPU seconds and peak memory of the command from LAS to LAS, and the scores of what it wrote.
-
-    Ours runs with the compilation cache that :func:`measure_case` filled, as any but the first run on a machine does.
-    """
-    target = scratch / "out.las"
-    environment = dict(os.environ)
-    if name in CASES:
-        flags = [f"--{key.replace('_', '-')}={value:g}" for key, value in CASES[name].parameters.items()]
-        line = [
-            sys.executable,
-            "-c",
-            COMMAND,
-            "ground",
-            CASES[name].method,
-            str(place),
-            str(target),
-            "--units=m",
-            "-q",
-            *flags,
-        ]
-        root = str(HERE.parents[1])
-        environment |= {
-            "JAXFILTER_CACHE": str(scratch / "cache"),
-            "PYTHONPATH": os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])]),
-        }
-    else:
+    """Wall and CPU seconds and peak memory of the command from LAS to LAS; of other programs the scores of what it wrote, too."""
+    target, figures = scratch / "out.las", scratch / "figures.json"
+    line = [sys.executable, "-c", COMMAND, "ground", name, str(place), str(target), "--units=m", "-q", "--overwrite"]
+    cloud = None if name in jf.FILTERS else jf.read(place, units="m")
+    if cloud is not None:
         line = peers.command(name, place, target)
         if name == "pcl_pmf":
-            cloud = jf.read(place, units="m")
             peers.write_pcd(place.with_suffix(".pcd"), cloud.xyz[cloud.candidate])
-    figures = scratch / "figures.json"
     launcher = [sys.executable, "-S", str(HERE / "timed.py"), str(figures)]
-    done = subprocess.run(
-        [*launcher, *line], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True, env=environment
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run([*launcher, *line], check=True, env=_environment(scratch), **streams)
     used = json.loads(figures.read_text())
     if used["code"] != 0:
-        raise subprocess.CalledProcessError(used["code"], line, stderr=done.stdout)
+        raise SystemExit(f"{shlex.join(line)}: exit code {used['code']}\n{done.stdout}")
     row: Row = {f"command_{key}": used[key] for key in ("seconds", "cpu_seconds", "peak_bytes")}
-    if name in CASES:
+    if cloud is None:
         return row
+    row["points"] = len(cloud)
     if name == "csf_wheel":
         row["warm_seconds"] = json.loads(done.stdout.splitlines()[-1])["seconds"]
-    return row | _peer_scores(place, target)
-
-
-def _peer_scores(place: Path, target: Path) -> Row:
-    cloud = jf.read(place, units="m")
-    row: Row = {"points": len(cloud)}
     if target.exists():
-        labelled = jf.read(target, units="m")
-        scores = jf.evaluate(labelled.classification == 2, np.load(place.with_suffix(".npy")), ignore=~cloud.candidate)
+        ground, truth = jf.read(target, units="m").classification == 2, np.load(place.with_suffix(".npy"))
+        scores = jf.evaluate(ground, truth, ignore=~cloud.candidate)
         row |= {"type1": scores.type1, "type2": scores.type2, "total": scores.total, "kappa": scores.kappa}
     return row
 
 
-def report(rows: list[Row], repeats: int) -> str:
+def of_report(name: str, millions: float) -> Row:
+    """How large a report of a simulated scene is, how long it takes to write, and how quickly its slider answers in Chromium."""
+    cloud = jf.scenes.make("mixed", size=1e3 * (millions / 2.5) ** 0.5, density=2.4, seed=0).cloud
+    result = jf.FILTERS[name].for_cloud(cloud)(cloud)
+    with tempfile.TemporaryDirectory() as folder:
+        clock, start = time.process_time(), time.perf_counter()
+        path = jf.report(cloud, result, Path(folder) / "page.html")
+        row: Row = {"method": name.upper(), "points": len(cloud), "report": time.perf_counter() - start}
+        row |= {"cpu": time.process_time() - clock, "size": path.stat().st_size / 1e6}
+        chromium = shutil.which("chromium") or shutil.which("google-chrome")
+        return row | (_in_browser(path, chromium) if chromium else {})
+
+
+def _in_browser(path: Path, chromium: str) -> Row:
+    """Seconds until the page is ready, and milliseconds for every step of the slider."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        start = time.perf_counter()
+        page.goto(path.resolve().as_uri())
+        page.wait_for_function("report.state.ready || report.state.failed", timeout=120_000)
+        load, times = time.perf_counter() - start, page.evaluate(SLIDE)
+        browser.close()
+    return {"steps": len(times), "load": load, "slider": statistics.median(times), "slowest": max(times)}
+
+
+def report(rows: list[Row], reports: list[Row], repeats: int) -> str:
     """Everything as Markdown."""
-    time_columns: list[Column] = [
-        ("name", "method", ""),
-        ("density", "points/m2", "g"),
-        ("points", "points", ",d"),
-        ("area_km2", "km2", ".2f"),
-        ("warm_seconds", "warm, s", ".2f"),
-        ("warm_cpu_seconds", "warm, CPU s", ".2f"),
-        ("command_seconds", "command, s", ".2f"),
-        ("command_cpu_seconds", "command, CPU s", ".2f"),
-        ("command_peak", "command, GB", ".2f"),
-        ("peak", "in process, GB", ".2f"),
-        ("total", "total error, %", ".2f"),
-        ("kappa", "kappa, %", ".2f"),
-    ]
-    start_columns: list[Column] = [
-        ("name", "method", ""),
-        ("density", "points/m2", "g"),
-        ("points", "points", ",d"),
-        ("import_seconds", "import, s", ".2f"),
-        ("read_seconds", "read, s", ".2f"),
-        ("first_seconds", "first call, s", ".2f"),
-        ("cached_first_seconds", "first call, cached, s", ".2f"),
-        ("warm_seconds", "warm call, s", ".2f"),
-        ("compilations", "compiled", "d"),
-        ("compile_seconds", "compiling, s", ".2f"),
-        ("cached_compile_seconds", "cached, s", ".2f"),
-        ("second_points", "second cloud, points", ",d"),
-        ("second_compilations", "it compiles", "d"),
-    ]
-    shown = [
-        row
-        | {
-            "peak": row["peak_bytes"] / 1e9 if "peak_bytes" in row else None,
-            "command_peak": row["command_peak_bytes"] / 1e9,
-        }
-        for row in rows
-    ]
+    gigabytes = {"peak": "peak_bytes", "command_peak": "command_peak_bytes"}
+    shown = [row | {key: row[name] / 1e9 for key, name in gigabytes.items() if name in row} for row in rows]
     text = [
         "# Speed and memory",
-        "",
-        f"Scene `benchmark`, seed 1. Warm = a call on a cloud in memory, after a first one, median of {repeats}; its results are "
-        "on the host, so nothing is still running when it returns. Command = a fresh process from LAS to LAS with a filled "
-        "compilation cache. CPU seconds are those of all threads. In process = peak resident memory of a process that reads "
-        "the cloud and filters it. Errors over the points that are filtered. For the CSF wheel, warm = its call alone.",
-        "",
-        markdown(time_columns, shown),
-        "",
+        f"Scene `benchmark`, one pulse per m2. Warm = a call on a cloud in memory, after a first one, median of {repeats}. "
+        "Command = a fresh process from LAS to LAS with a filled compilation cache. CPU seconds are those of all threads. In "
+        "process = peak memory of a process that reads and filters. Errors are over the points that are filtered.",
+        markdown(TIMES, shown),
         "## Start",
-        "",
-        "First call = in a process that finds the compilation cache empty; cached = in one that finds it filled. The "
-        "second cloud lacks a strip of up to 3 % of the width; its arrays have the same padded sizes.",
-        "",
-        markdown(start_columns, [row for row in shown if "first_seconds" in row]),
+        "First call = in a process that finds the compilation cache empty; cached = in one that finds it filled by the process "
+        "of the smallest cloud. The second cloud lacks a strip of up to 3 % of the width; its arrays have the same padded sizes.",
+        markdown(STARTS, [row for row in shown if "cached_first_seconds" in row]),
     ]
-    text += ["", "## Growth", "", *_growth(rows)] if _growth(rows) else []
-    text += ["", "## Vertex spacing and noise floor on dense clouds", "", *_spacing(rows)] if _spacing(rows) else []
-    return "\n".join(text) + "\n"
-
-
-def _growth(rows: list[Row]) -> list[str]:
-    """How much longer each next size takes."""
-    lines = []
-    for name, density in dict.fromkeys((row["name"], row["density"]) for row in rows):
-        line = [r for r in rows if (r["name"], r["density"]) == (name, density) and "warm_seconds" in r]
-        for a, b in itertools.pairwise(line):
-            lines.append(
-                f"- {name}, {density:g} points/m2: {b['points'] / a['points']:.2f} times the points "
-                f"({a['points']:,} to {b['points']:,}) take {b['warm_seconds'] / a['warm_seconds']:.2f} times as long"
-            )
-    return lines
-
-
-def _spacing(rows: list[Row]) -> list[str]:
-    """What the bounded triangulation gains and costs."""
-    lines = []
-    for row in rows:
-        if row["name"].endswith("_spaced"):
-            plain = [
-                r for r in rows if r["name"] == row["name"].removesuffix("_spaced") and r["points"] == row["points"]
-            ]
-            for other in plain:
-                lines.append(
-                    f"- {row['name'].removesuffix('_spaced')}, {row['density']:g} points/m2, {row['points']:,} points: "
-                    f"{row['warm_seconds']:.2f} s instead of {other['warm_seconds']:.2f} s; total error {row['total']:.2f} % "
-                    f"instead of {other['total']:.2f} % ({row['total'] - other['total']:+.2f} points)"
-                )
-    return lines
-
-
-def scaling(rows: list[Row], path: Path) -> None:
-    """Warm seconds (else of the command) and peak memory against number of points; a column of panels per density."""
-    import matplotlib
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    densities = sorted({row["density"] for row in rows})
-    figure = Figure(figsize=(1.2 + 3.4 * len(densities), 5.4), layout="constrained")
-    panels = figure.subplots(2, len(densities), sharex=True, sharey="row", squeeze=False)
-    shades, marks = matplotlib.colormaps["tab10"].colors, "osD^v<"
-    known = list(dict.fromkeys(CASES[name].method if name in CASES else name for name in [*CASES, *peers.ALL]))
-    for column, density in enumerate(densities):
-        for name in dict.fromkeys(row["name"] for row in rows):
-            line = [row for row in rows if row["name"] == name and row["density"] == density]
-            points = [row["points"] for row in line]
-            number = known.index(CASES[name].method if name in CASES else name)
-            style = {
-                "color": shades[number % 10],
-                "marker": marks[number // 10 + 2 * name.endswith("_spaced")],
-                "markersize": 4,
-                "linewidth": 1.2,
-                "label": name.replace("_", " "),
-                "linestyle": "--" if name.endswith("_spaced") else "-" if name in CASES else ":",
-            }
-            for ax, values in (
-                (panels[0, column], [row.get("warm_seconds", row["command_seconds"]) for row in line]),
-                (panels[1, column], [row.get("peak_bytes", row["command_peak_bytes"]) / 1e9 for row in line]),
-            ):
-                if line:
-                    ax.loglog(points, values, **style)
-        panels[0, column].set_title(f"{density:g} points/m²", fontsize=10)
-        panels[1, column].set_xlabel("million points")
-    panels[0, 0].set_ylabel("seconds, warm call")
-    panels[1, 0].set_ylabel("peak memory (GB)")
-    for ax in panels.flat:
-        for axis, unit in ((ax.xaxis, 1e6), (ax.yaxis, 1.0)):
-            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _, unit=unit: f"{value / unit:g}"))
-            axis.set_minor_formatter(NullFormatter())
-        ax.grid(True, which="major", color="0.92")
-        ax.spines[["top", "right"]].set_visible(False)
-    lines = {line.get_label(): line for ax in panels[0] for line in ax.get_lines()}
-    figure.legend(lines.values(), lines.keys(), loc="outside right upper", frameon=False, fontsize=8)
-    save_png(figure, path, 150)
+    if reports:
+        text += ["## Reports", "Of a simulated scene, opened in Chromium if there is one.", markdown(REPORTS, reports)]
+    return "\n\n".join(text)
 
 
 def _parser() -> argparse.ArgumentParser:
-    have = [*CASES, *peers.installed()]
+    have = [*jf.FILTERS, *peers.installed()]
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--only", nargs="+", choices=have, default=have, metavar="NAME", help=f"of {', '.join(have)} [all]"
     )
     parser.add_argument(
-        "--sizes", nargs="+", type=float, default=[0.1, 0.3, 1.0], metavar="M", help="million points [%(default)s]"
-    )
-    parser.add_argument(
-        "--densities", nargs="+", type=float, default=[1.0, 12.0], metavar="D", help="per m2 [%(default)s]"
-    )
-    parser.add_argument(
-        "--full", action="store_const", const=[0.1, 0.3, 1.0, 3.0, 5.0], dest="sizes", help="sizes 0.1 to 5 million"
-    )
-    parser.add_argument(
-        "--peer-limit",
-        type=float,
-        default=0.3,
-        metavar="M",
-        help="largest cloud that other programs are run on, million points [%(default)s]",
+        "--sizes", nargs="+", type=float, default=[0.3, 1.0], metavar="M", help="million points [%(default)s]"
     )
     parser.add_argument("--repeats", type=int, default=3, help="warm calls, of which the median counts [%(default)s]")
-    parser.add_argument("--platform", help="of JAX, such as cpu or cuda [what JAX finds]")
-    parser.add_argument("--add", action="store_true", help="to the figures of an earlier run in --out, instead of anew")
-    parser.add_argument("--keep-scenes", action="store_true", help="keep the LAS files for the next run")
+    parser.add_argument("--reports", type=float, default=0.0, metavar="M", help="million points of reports [none]")
     parser.add_argument("--page", default="results", help="name of the page, such as large [%(default)s]")
-    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
     return parser
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import shlex
 import sys
-import time
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.isprs import samples, spaces
-from experiments.report import Row, markdown, write_csv, write_page
+from experiments.isprs import spaces
+from experiments.report import Column, Row, markdown
+from experiments.sensitivity.study import Study
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import declared
-from jaxfilter.sweeps.ranges import Range, around, search_ranges
+from jaxfilter.sweeps.ranges import around, search_ranges
 
-HERE = Path(__file__).parent
 GROUP = 16
 """Sets of one sweep."""
 SLOW = {"ost": 4, "ppdf": 8}
@@ -32,47 +30,25 @@ SLOW = {"ost": 4, "ppdf": 8}
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Compare until the sets or the time are used up, and write the table."""
-    given = sys.argv[1:] if arguments is None else arguments
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    parser.add_argument("--sets", type=int, default=5000, help="[%(default)s]")
-    parser.add_argument("--minutes", type=float, default=60.0, help="no sweep begins later [%(default)s]")
-    parser.add_argument("--seed", type=int, default=0, help="[%(default)s]")
-    options = parser.parse_args(given)
-    folder = samples.data_folder(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
+    """Compare until the sets are used up, and write the table."""
+    study = Study("agreement", __doc__, arguments, sets=1500)
     keep_compilations()
-    clouds = {name: jf.read(samples.sample_path(folder, name)) for name in samples.SAMPLES}
-    rows: dict[str, Row] = {}
+    clouds = study.clouds()
+    rows: dict[str, Counter[str]] = {name: Counter() for name in (*spaces.method_names(), "all")}
     found: list[str] = []
-    end = time.monotonic() + 60 * options.minutes
-    done = 0
-    for method, sample, sets in drawn(options.seed, {name: len(cloud) for name, cloud in clouds.items()}):
-        if done >= options.sets or time.monotonic() > end:
+    for method, sample, sets in drawn({name: len(cloud) for name, cloud in clouds.items()}):
+        sets = sets[: study.options.sets - rows["all"]["sets"]]
+        if not sets:
             break
-        sets = sets[: options.sets - done]
         differ, kinds = compared(sets, clouds[sample])
-        row = rows.setdefault(
-            method, {"method": method.upper(), "sets": 0, "on": set(), "points": 0, "differ": 0, "kinds": 0}
-        )
-        row["sets"] += len(sets)
-        row["on"].add(sample)
-        row["points"] += len(sets) * len(clouds[sample])
-        row["differ"] += sum(differ)
-        row["kinds"] += kinds
-        found += [f"samp{sample}: {count} labels: {one}" for one, count in zip(sets, differ, strict=True) if count]
-        done += len(sets)
-        print(f"{done} sets, {sum(r['differ'] for r in rows.values())} labels differ", end="\r", flush=True)
-    table = [{**rows[name], "on": len(rows[name]["on"])} for name in spaces.method_names() if name in rows]
-    table.append(
-        {"method": "all", **{key: sum(row[key] for row in table) for key in ("sets", "points", "differ", "kinds")}}
-    )
-    write_csv(options.out / "agreement.csv", table)
-    command = shlex.join(["python", "experiments/sensitivity/agreement.py", *given])
-    columns = [
-        ("method", "method", ""), ("sets", "sets", ",d"), ("on", "samples", "d"), ("kinds", "different labellings", ",d"),
+        more = {"sets": len(sets), "points": len(sets) * len(clouds[sample]), "differ": sum(differ), "kinds": kinds}
+        for name in (method, "all"):
+            rows[name].update(more)
+        found += [f"{sample}: {count} labels: {one}" for one, count in zip(sets, differ, strict=True) if count]
+        print(dict(rows["all"]), flush=True)
+    table: list[Row] = [{"method": name.upper(), **row} for name, row in rows.items() if row]
+    columns: list[Column] = [
+        ("method", "method", ""), ("sets", "sets", ",d"), ("kinds", "different labellings", ",d"),
         ("points", "labels", ",d"), ("differ", "differ from the single call", ",d"),
     ]  # fmt: skip
     text = [
@@ -84,18 +60,17 @@ def main(arguments: list[str] | None = None) -> None:
         markdown(columns, table),
         *found,
     ]
-    write_page(options.out / "agreement.md", "\n\n".join(text), command, rows)
-    print(f"\nresults are in {options.out}")
+    study.write("agreement", text, table, rows)
 
 
-def drawn(seed: int, sizes: dict[str, int]) -> Iterator[tuple[str, str, list[jf.Filter]]]:
+def drawn(sizes: dict[str, int]) -> Iterator[tuple[str, str, list[jf.Filter]]]:
     """Method, sample and sets of one sweep after the other, without end: all methods in turn, small samples more often."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     seldom = 1 / np.array(list(sizes.values()))
     for method in itertools.chain.from_iterable(rng.permutation(spaces.method_names()) for _ in itertools.count()):
         sample = str(rng.choice(list(sizes), p=seldom / seldom.sum()))
         try:
-            base = varied(rng, spaces.fixed(method, f"samp{sample}"))
+            base = varied(rng, spaces.fixed(method, sample))
             yield method, sample, [base.replace(**fields) for fields in thresholds(rng, base)]
         except jf.ParameterError:
             continue  # a choice that the other fields do not go with
@@ -104,12 +79,10 @@ def drawn(seed: int, sizes: dict[str, int]) -> Iterator[tuple[str, str, list[jf.
 def varied(rng: np.random.Generator, base: jf.Filter) -> jf.Filter:
     """The filter itself, one of its presets, or with another choice in one field."""
     kind = rng.integers(4)
-    if kind < 2:
-        return base
     if kind == 2:
         return type(base).preset(str(rng.choice(list(base.PRESETS))))
     choices = [field for field in declared(base) if field.metadata.get("choices")]
-    if not choices:
+    if kind < 2 or not choices:
         return base
     field = choices[rng.integers(len(choices))]
     options = field.metadata["choices"]
@@ -122,19 +95,9 @@ def thresholds(rng: np.random.Generator, base: jf.Filter) -> list[dict[str, Any]
     ranges = {name: one for name, one in search_ranges(type(base)).items() if name in traced}
     if rng.random() < 1 / 3:
         ranges = {name: around(field) for name, field in traced.items() if around(field)} | ranges
-    return [
-        {name: value(rng, one) for name, one in ranges.items()}
-        for _ in range(SLOW.get(type(base).__name__.lower(), GROUP))
-    ]
-
-
-def value(rng: np.random.Generator, one: Range) -> float:
-    """Any number of a range, with all its digits."""
-    if one.scale == "whole":
-        return float(rng.integers(one.low, one.high + 1))
-    if one.scale == "log":
-        return float(np.exp(rng.uniform(np.log(one.low), np.log(one.high))))
-    return float(rng.uniform(one.low, one.high))
+    count = SLOW.get(type(base).__name__.lower(), GROUP)
+    units = [{name: (one, rng.random()) for name, one in ranges.items()} for _ in range(count)]
+    return [{name: (one.at if one.scale == "whole" else one.value)(u) for name, (one, u) in x.items()} for x in units]
 
 
 def compared(sets: list[jf.Filter], cloud: jf.PointCloud) -> tuple[list[int], int]:

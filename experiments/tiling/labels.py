@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-import time
-from collections.abc import Iterator, Sequence
+import functools
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 import jaxfilter as jf
 from experiments.report import Row
+from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import lowest_among
 from jaxfilter.surveys.collection import Collection
 from jaxfilter.surveys.measures import Sampler
 from jaxfilter.surveys.plan import plan_tiles
 from jaxfilter.surveys.run import tile_of
-from jaxfilter.surveys.tiles import joined, read_tile
+from jaxfilter.surveys.tiles import joined, part_of, read_tile
 
 READING = jf.Reading(returns="all", ignore_classes=(7, 18), units="m")
 """What producers set apart is filtered like the rest."""
@@ -29,7 +30,6 @@ LEFT_OUT = (0, 7, 9, 12, 18, 26, 65, 66, 67)
 class Survey:
     """A collection in one cloud: n points in the order of the files, and bool[n], truth and points that are scored."""
 
-    name: str
     collection: Collection
     cloud: jf.PointCloud
     truth: np.ndarray
@@ -37,7 +37,23 @@ class Survey:
     first: np.ndarray
 
 
-def survey(name: str, paths: Sequence[Path]) -> Survey:
+def generated(folder: Path, side: int, files: int, density: float, layout: str = "mixed") -> list[Path]:
+    """``files`` times ``files`` LAZ files of a simulated scene of ``side`` metres, with the truth as classes."""
+    name = folder / f"{layout}-{side}-{files}-{density:g}"
+    paths = [name / f"{i}-{j}.laz" for i in range(files) for j in range(files)]
+    if all(path.exists() for path in paths):
+        return paths
+    name.mkdir(parents=True, exist_ok=True)
+    scene = jf.scenes.make(layout, size=float(side), density=density, seed=7)
+    cloud = dataclasses.replace(scene.cloud, classification=scene.classes)
+    cell = np.minimum(cloud.xyz[:, :2] // (side / files), files - 1).astype(int)
+    for path, number in zip(paths, np.ndindex(files, files), strict=True):
+        jf.write(path, part_of(cloud, (cell == number).all(axis=1)), None, overwrite=True)
+    return paths
+
+
+@functools.lru_cache(maxsize=1)
+def survey(paths: tuple[Path, ...]) -> Survey:
     """Open files, and read them whole."""
     collection = jf.open([str(path) for path in paths], units="m")
     how = {"returns": READING.returns, "ignore_classes": READING.ignore_classes}
@@ -46,70 +62,57 @@ def survey(name: str, paths: Sequence[Path]) -> Survey:
     assert cloud.classification is not None
     scored = ~np.isin(cloud.classification, LEFT_OUT)
     first = np.cumsum([0, *(len(one) for one in clouds)])
-    return Survey(name, collection, cloud, cloud.classification == 2, scored, first)
+    return Survey(collection, cloud, cloud.classification == 2, scored, first)
 
 
-def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float | None], folder: Path) -> Iterator[Row]:
-    """A row for every method and halo (None = the default); ``cuts``: tiles along each side."""
-    for name in methods:
-        filter_ = jf.FILTERS[name].for_cloud(one.cloud)
-        whole = filter_(one.cloud, workers=1).ground
-        total = jf.evaluate(whole, one.truth, ignore=~one.scored).total
-        for asked in halos:
-            halo = filter_.halo() if asked is None else asked
-            start = time.process_time()
-            ground, seen = tiled(one, filter_, cuts, halo, folder)
-            differ = int((ground != whole).sum())
-            scores = jf.evaluate(ground, one.truth, ignore=~one.scored)
-            row = {
-                "survey": one.name, "method": name, "points": len(whole), "tiles": len(seen), "halo": halo,
-                "partial": int((seen < 1).sum()), "seen": float(np.median(seen)),
-                "default": asked is None, "differ": differ, "share": differ / len(whole), "total": total,
-                "moved": scores.total - total, "cpu": time.process_time() - start,
-            }  # fmt: skip
-            print(
-                f"{one.name:28} {name:6} halo {halo:5.0f} m {len(seen):3} tiles, {row['partial']} partial: "
-                f"{differ:6} labels differ, "
-                f"{100 * differ / len(whole):.4f} %, total error {total:.3f} % {scores.total - total:+.3f}",
-                file=sys.stderr,
-                flush=True,
-            )
-            yield row
+def rows(
+    name: str, paths: tuple[Path, ...], method: str, cuts: int, halos: Sequence[float | None], folder: Path
+) -> list[Row]:
+    """A row for every halo (None = the default) of a method on a survey. ``cuts``: tiles along each side."""
+    keep_compilations()
+    warnings.simplefilter("ignore", jf.JaxfilterWarning)
+    one, found, index = survey(paths), [], folder / f"index-{method}"  # two processes do not share it
+    filter_ = jf.FILTERS[method].for_cloud(one.cloud)
+    whole = filter_(one.cloud, workers=1).ground
+    total = jf.evaluate(whole, one.truth, ignore=~one.scored).total
+    for asked in halos:
+        halo = filter_.halo() if asked is None else asked
+        ground, seen = tiled(one, filter_, cuts, halo, index)
+        differ = int((ground != whole).sum())
+        moved = jf.evaluate(ground, one.truth, ignore=~one.scored).total - total
+        found.append({
+            "survey": name, "method": method, "points": len(whole), "tiles": len(seen), "halo": halo,
+            "seen": float(np.median(seen)), "differ": differ, "share": differ / len(whole), "total": total, "moved": moved,
+        })  # fmt: skip
+    return found
 
 
-def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, index: Path) -> tuple[np.ndarray, np.ndarray]:
     """bool[n]: labels of the tiles of a run; and f64[tiles], the share of all points that each tile with points sees.
 
     A tile that sees all points tests nothing: it is the whole.
     """
     files = one.collection
     low, high = np.reshape(files.bounds, (2, 2))
-    plan = plan_tiles(
-        files.footprints,
-        files.counts,
-        metre=files.metre,
-        halo=halo,
-        lattice=filter_.lattice(),
-        side=float((high - low).max()) * files.metre / cuts,
-    )
+    side = float((high - low).max()) * files.metre / cuts
+    given = {"metre": files.metre, "halo": halo, "lattice": filter_.lattice(), "side": side}
+    plan = plan_tiles(files.footprints, files.counts, **given)
     width, height = plan.largest()
-    whole = Sampler(files, READING, folder / "index").whole_for(filter_)
+    whole = Sampler(files, READING, index).whole_for(filter_)
     whole = dataclasses.replace(whole, width=width * files.metre, height=height * files.metre)
     lowest = lowest_among(filter_, points := filter_.points_of(one.cloud))
     if lowest is not None:
         height = float(points.xyz[lowest, 2].min())
         whole = dataclasses.replace(whole, lowest=float(one.cloud.origin[2]) + height)
-    tiles = [tile_of(plan, files, number) for number in range(len(plan))]
     ground = np.zeros(len(one.cloud), bool)
     times = np.zeros(len(one.cloud), np.int8)
     seen = []
-    for tile in tiles:
-        around = read_tile(tile, READING, whole, folder / "index")
+    for number in range(len(plan)):
+        around = read_tile(tile_of(plan, files, number), READING, whole, index)
         if not around.core.any():
             continue
-        found = filter_(around.cloud, workers=1).ground[around.core]
         at = one.first[around.file[around.core]] + around.record[around.core]
-        ground[at] = found
+        ground[at] = filter_(around.cloud, workers=1).ground[around.core]
         times[at] += 1
         seen.append(len(around.cloud) / len(one.cloud))
     if not (times == 1).all():
@@ -122,18 +125,15 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     from matplotlib.figure import Figure
 
     axes = Figure(figsize=(7.0, 4.2), layout="constrained").subplots()
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    least = 1 / max(row["points"] for row in rows)
-    for number, name in enumerate(names):
+    least = 50 / max(row["points"] for row in rows)
+    for number, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
         own = [row for row in rows if row["method"] == name]
-        share = [max(100 * row["share"], 50 * least) for row in own]
-        axes.plot(
-            [row["halo"] for row in own], share, marker="os^Dv"[number // 10 % 5], ms=4, lw=1.2,
-            color=f"C{number % 10}", ls=("-", "--")[number // 10], label=name.upper(),
-        )  # fmt: skip
+        line = {"marker": "os^Dv"[number // 10 % 5], "ls": ("-", "--")[number // 10], "color": f"C{number % 10}"}
+        share = [max(100 * row["share"], least) for row in own]
+        axes.plot([row["halo"] for row in own], share, ms=4, lw=1.2, label=name.upper(), **line)
     axes.set_yscale("log")
-    axes.axhline(50 * least, color="0.8", lw=0.8, zorder=0)
-    axes.text(axes.get_xlim()[0], 50 * least, " none", ha="left", va="bottom", color="0.4", fontsize=8)
+    axes.axhline(least, color="0.8", lw=0.8, zorder=0)
+    axes.text(axes.get_xlim()[0], least, " none", ha="left", va="bottom", color="0.4", fontsize=8)
     axes.set_xlabel("halo, m")
     axes.set_ylabel("labels that differ from the whole, %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)

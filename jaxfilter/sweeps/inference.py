@@ -27,7 +27,7 @@ LEARNT = 256
 LABELLED, UNLABELLED = 20_000, 100_000
 """At most so many points to learn from, and others to compare the sets on."""
 # Components, confidence, block and the neighbours of calibrate.py were chosen on simulated scenes and squares of labelled
-# tiles, those of experiments/sensitivity/calibration.py --clouds others. The ISPRS samples are left for the test.
+# tiles, those of experiments/sensitivity/calibration.py. The ISPRS samples are left for the test.
 _SETS = 64
 """Sets unpacked at a time."""
 
