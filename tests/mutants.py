@@ -1,0 +1,494 @@
+"""Small sound files of points, damaged in ways that a seed and a number name, and a process in which they are tried.
+
+Nothing here uses jaxfilter: files are made by laspy, lazrs and struct, and the points that are right are known from how a file
+was made, not from reading it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import multiprocessing
+import os
+import re
+import resource
+import struct
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import lazrs
+import numpy as np
+from las_files import make_copc, make_las
+
+KINDS = ("las", "laz", "copc", "text")
+_FIRST_MINOR = (0, 0, 2, 2, 3, 3, 4, 4, 4, 4, 4)  # the minor version of LAS in which each point format came
+LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # bytes of a point record of each point format
+_POINTS = 60
+_VLR, _EVLR = 54, 60  # bytes of the header of a variable length record, and of an extended one
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sound:
+    """A sound file.
+
+    Attributes:
+        kind: one of :data:`KINDS`.
+        name: with a suffix.
+        content: its bytes.
+        records: of LAS, u8[n, length], the records of all points in their order.
+        chunks: of LAZ, the number of points and of bytes of each chunk of compressed points.
+        rows: of text, for each line the coordinates of its point, and whether its label is ground.
+    """
+
+    kind: str
+    name: str
+    content: bytes
+    records: np.ndarray | None = None
+    chunks: tuple[tuple[int, int], ...] = ()
+    rows: dict[bytes, tuple[float, float, float, bool]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def suffix(self) -> str:
+        """Of the name of a file with such points."""
+        return Path(self.name).suffix
+
+    @property
+    def start(self) -> int:
+        """Of LAS, the byte at which points begin; those of LAZ, 8 bytes after that."""
+        return int(struct.unpack_from("<I", self.content, 96)[0])
+
+    def layers(self) -> list[tuple[int, int]]:
+        """Of LAZ of point formats 6 and above, for each chunk the byte where the sizes of its layers begin, and their number."""
+        kind, length = self.content[104] & 0x3F, struct.unpack_from("<H", self.content, 105)[0]
+        if not self.chunks or kind < 6:
+            return []
+        number = 9 + (0, 1, 2, 1, 3)[kind - 6] + length - LENGTHS[kind]  # each extra byte has its own
+        ends = self.start + 8 + np.cumsum([0, *(size for _, size in self.chunks)])
+        return [(int(end) + length + 4, number) for end in ends[:-1]]
+
+
+# sound files
+
+
+def sound_files(folder: Path) -> list[Sound]:
+    """LAS and LAZ of every point format and version, with and without extra bytes, CRS and records; COPC; text in many layouts.
+    ``folder`` is for files on the way."""
+    found = []
+    for number, first in enumerate(_FIRST_MINOR):
+        for minor in sorted({first, 2, 4} if number < 4 else {first, 4}):
+            crs = (32632, 2225, "EPSG:32632+8228" if minor == 4 and number >= 6 else 2992, None)[(number + minor) % 4]
+            more = {"scanner_channel": np.full(_POINTS, 2)} if number > 8 else {}
+            path = folder / f"{number}-{minor}.las"
+            version = f"1.{max(minor, 2)}"
+            make_las(path, number, version, _POINTS, crs=crs, extra=number % 2 == 1, seed=number, **more)
+            content = bytearray(path.read_bytes())
+            content[25] = minor
+            start, _, length = struct.unpack_from("<I4xBH", content, 96)
+            records = np.frombuffer(bytes(content), np.uint8, _POINTS * length, start).reshape(_POINTS, length)
+            las = Sound("las", path.name, bytes(content), records)
+            found += [las, compressed(las, 16), compressed(las, 50_000)]
+    for seed in range(3):
+        path = folder / f"octree-{seed}.copc.laz"
+        records = make_copc(path, 120 + 60 * seed, seed)
+        content = path.read_bytes()
+        at = content.find(b"laszip encoded") + 52
+        length = struct.unpack_from("<H", content, at - 34)[0]
+        chunks = _chunks(content, content[at : at + length])
+        found.append(Sound("copc", path.name, content, records, chunks))
+    return found + text_files()
+
+
+def compressed(sound: Sound, size: int) -> Sound:
+    """LAS as LAZ, in chunks of so many points."""
+    assert sound.records is not None
+    content, length = sound.content, sound.records.shape[1]
+    extra = length - LENGTHS[content[104]]
+    data = bytearray(lazrs.LazVlr.new_for_compression(content[104], extra, False).record_data())
+    for at in range(34, len(data), 6):
+        if struct.unpack_from("<H", data, at)[0] == 9:  # wave packets, of which LASzip knows version 1 only
+            struct.pack_into("<H", data, at + 4, 1)
+    struct.pack_into("<I", data, 12, size)
+    record = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(data), b"") + data
+    head = bytearray(content[: sound.start] + record)
+    struct.pack_into("<II", head, 96, len(head), struct.unpack_from("<I", head, 100)[0] + 1)
+    head[104] |= 0x80
+    file = io.BytesIO()
+    file.write(head)
+    compressor = lazrs.LasZipCompressor(file, lazrs.LazVlr(bytes(data)))
+    compressor.compress_many(sound.records.reshape(-1))
+    compressor.done()
+    body = bytearray(file.getvalue())
+    if content[25] >= 4:
+        extended = struct.unpack_from("<Q", content, 235)[0]
+        struct.pack_into("<Q", body, 235, len(body))
+        body += content[extended:]
+    name = f"{Path(sound.name).stem}-{size}.laz"
+    return Sound("laz", name, bytes(body), sound.records, _chunks(bytes(body), bytes(data)))
+
+
+def _chunks(content: bytes, record: bytes) -> tuple[tuple[int, int], ...]:
+    file = io.BytesIO(content)
+    file.seek(struct.unpack_from("<I", content, 96)[0])
+    found = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
+    counts = [count or struct.unpack_from("<I", record, 12)[0] for count, _ in found]
+    return tuple((count, size) for count, (_, size) in zip(counts, found, strict=True))
+
+
+def text_files() -> list[Sound]:
+    """Six layouts: with and without names, comments, quotes, a byte order mark, an end of the last line."""
+    rng = np.random.default_rng(5)
+    xyz = np.round(rng.uniform(0, 40, (30, 3)) * [1, 1, 0.2] + [512700, 5403500, 300], 2)
+    points = [(*point, label) for point, label in zip(xyz.tolist(), rng.integers(0, 2, 30).tolist(), strict=True)]
+    layouts = {  # lines of names, and of points; label 0 and class 2 are ground
+        "isprs.txt": ([], [f"{x:.2f}\t{y:.2f}\t{z:.2f}\t{k}" for x, y, z, k in points]),
+        "spaces.xyz": ([], [f"  {x:.2f} {y:.2f}   {z:.2f} " for x, y, z, _ in points]),
+        "commas.csv": (["\ufeffx,y,z"], [f"{x:.2f},{y:.2f},{z:.2f}" for x, y, z, _ in points]),
+        "names.csv": (
+            ['"name",X,Y,Z,Classification,Return Number,NumberOfReturns,withheld'],
+            [f'"a tree, {i}",{x:.3f},{y:.3f},{z:.3f},{2 - k},1,2,0' for i, (x, y, z, k) in enumerate(points)],
+        ),
+        "semicolons.csv": (["# made by hand", "X;label;Y;Z"], [f"{x};{k};{y};{z}" for x, y, z, k in points]),
+        "comment.txt": (["//X Y Z label"], [f"{x:.2f} {y:.2f} {z:.2f} {k}" for x, y, z, k in points]),
+    }
+    found = []
+    for i, (name, (head, lines)) in enumerate(layouts.items()):
+        end, labels = ("\n", "\r\n")[i % 2], name not in ("spaces.xyz", "commas.csv")
+        content = (end.join(head + lines) + (end if i % 3 else "")).encode()
+        rows = {line.encode(): (x, y, z, labels and not k) for line, (x, y, z, k) in zip(lines, points, strict=True)}
+        found.append(Sound("text", name, content, rows=rows))
+    return found
+
+
+# mutants
+
+
+@dataclasses.dataclass(frozen=True)
+class Mutant:
+    """A damaged file: the sound one, the damages, and its bytes."""
+
+    sound: Sound
+    damages: tuple[str, ...]
+    content: bytes
+
+    def __str__(self) -> str:
+        return f"{self.sound.name}, {' + '.join(self.damages)}"
+
+
+def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> Mutant:
+    """The mutant of this number, always the same for the same files, kind, seed and number. One to three damages."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), number])
+    own = [one for one in sounds if one.kind == kind]
+    sound = own[rng.integers(len(own))]
+    names = [*ANY, *TEXT] if kind == "text" else [*ANY, *fields(sound), "unit", *["table"] * bool(sound.chunks)]
+    content, damages = bytearray(sound.content), []
+    while bytes(content) == sound.content or (rng.random() < 0.3 and len(damages) < 3):
+        damages.append("splice" if rng.random() < 0.06 else names[rng.integers(len(names))])
+        if damages[-1] == "splice":
+            content = _spliced(content, sounds[rng.integers(len(sounds))].content, rng)
+        elif damages[-1] in (acts := ANY | TEXT | {"unit": _unit, "table": _table}):
+            content = bytearray(acts[damages[-1]](content, sound, rng))
+        else:
+            places = fields(sound)[damages[-1]]
+            content = _put(content, *places[rng.integers(len(places))], rng)
+    return Mutant(sound, tuple(damages), bytes(content))
+
+
+def _place(content: bytearray, rng: np.random.Generator) -> int:
+    """Half of the places in LAS lie before the points, a quarter in the points or soon behind them."""
+    head = struct.unpack_from("<I", content, 96)[0] if len(content) > 100 and content[:4] == b"LASF" else 0
+    share = rng.random()
+    limit = len(content) if not head or share < 0.25 else head + 5000 if share < 0.5 else head
+    return int(rng.integers(max(min(limit, len(content)), 1)))
+
+
+def _spliced(content: bytearray, other: bytes, rng: np.random.Generator) -> bytearray:
+    """The beginning of one file and the end of another, cut at the same place or anywhere."""
+    at = _place(content, rng)
+    return content[:at] + other[at if rng.random() < 0.5 else int(rng.integers(len(other))) :]
+
+
+# damages of any bytes
+
+
+def _bits(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    for _ in range(int(rng.integers(1, 9)) if content else 0):
+        content[_place(content, rng)] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def _bytes(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    at = _place(content, rng)
+    length = min(int(rng.integers(1, 17)), len(content) - at)
+    content[at : at + length] = (rng.bytes(length), bytes(length), b"\xff" * length)[rng.integers(3)]
+    return content
+
+
+def _swapped(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    """A few bytes in reverse order, as in numbers of machines of the other kind."""
+    at, length = _place(content, rng), int(rng.choice([2, 4, 8]))
+    content[at : at + length] = content[at : at + length][::-1]
+    return content
+
+
+def _truncated(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    return content[: _place(content, rng)]
+
+
+def _removed(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    at = _place(content, rng)
+    return content[:at] + content[at + int(rng.integers(1, 400)) :]
+
+
+def _doubled(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    at, to = _place(content, rng), _place(content, rng)
+    return content[:to] + content[at : at + int(rng.integers(1, 400))] + content[to:]
+
+
+def _appended(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    return content + rng.bytes(int(rng.integers(1, 3000)))
+
+
+# damages of LAS, LAZ and COPC
+
+
+def records(content: bytes) -> list[tuple[int, bytes, int, int, int]]:
+    """Of the records of a sound file: the byte where each begins, user, number, the byte where its data begin, their length."""
+    found = []
+    size, count = struct.unpack_from("<H4xI", content, 94)
+    extended, more = struct.unpack_from("<QI", content, 235) if content[25] >= 4 else (0, 0)
+    for at, number, layout, head in ((size, count, "<16sHH", _VLR), (extended, more, "<16sHQ", _EVLR)):
+        for _ in range(number):
+            user, identity, length = struct.unpack_from(layout, content, at + 2)
+            found.append((at, user.rstrip(b"\0"), identity, at + head, length))
+            at += head + length
+    return found
+
+
+@functools.cache
+def fields(sound: Sound) -> dict[str, list[tuple[str, int]]]:
+    """Layout and place of the numbers that readers of LAS believe, by what they belong to."""
+    found: dict[str, list[tuple[str, int]]] = {
+        "header": [  # LAS 1.4 R15, table 3
+            *(("H", at) for at in (4, 6, 90, 92, 94, 105)), *(("B", at) for at in (24, 25, 104)),
+            *(("I", at) for at in (96, 100, *range(107, 131, 4))), *(("d", at) for at in range(131, 227, 8)),
+            *([("Q", 227), ("Q", 235), ("I", 243), *(("Q", at) for at in range(247, 375, 8))] if sound.content[25] > 3 else []),
+        ],
+        "records": [],
+    }  # fmt: skip
+    content, start = sound.content, sound.start
+    length = struct.unpack_from("<H", content, 105)[0]
+    point = start + (8 if sound.chunks else length * (_POINTS // 2))  # the first one of a chunk is not compressed
+    found["points"] = [("i", point + 4 * axis) for axis in range(3)]
+    for at, user, number, data, size in records(content):
+        found["records"] += [("H", at + 18), ("Q" if data - at == _EVLR else "H", at + 20), ("B", at + 2)]
+        if (user, number) == (b"LASF_Spec", 4):
+            places = (("B", 2), ("B", 3), ("B", 4), ("d", 40), ("d", 112), ("d", 136))
+            found["extra bytes"] = [(layout, data + 192 * i + k) for i in range(size // 192) for layout, k in places]
+        elif (user, number) == (b"LASF_Projection", 34735):
+            found["keys"] = [("H", data + k) for k in range(0, size, 2)]
+        elif (user, number) == (b"laszip encoded", 22204):
+            found["laszip"] = [("H", data), ("H", data + 2), ("B", data + 4), ("B", data + 5), ("I", data + 8)]
+            found["laszip"] += [("I", data + 12), ("q", data + 16), ("q", data + 24)]
+            found["laszip"] += [("H", data + k) for k in range(32, size, 2)]
+        elif (user, number) == (b"copc", 1):
+            found["octree"] = [("Q" if k in (5, 6) else "d", data + 8 * k) for k in range(9)]
+        elif (user, number) == (b"copc", 1000):
+            entry = (("i", 0), ("i", 4), ("i", 8), ("i", 12), ("Q", 16), ("i", 24), ("i", 28))
+            found["octree"] += [(layout, data + 32 * i + k) for i in range(size // 32) for layout, k in entry]
+    if sound.chunks:
+        table = struct.unpack_from("<q", content, start)[0]
+        found["chunks"] = [("q", start), ("I", table), ("I", table + 4), *(("B", table + 8 + k) for k in range(8))]
+    if layers := sound.layers():
+        found["layers"] = [("I", at + 4 * k) for at, number in layers for k in range(-1, number)]
+    return found
+
+
+_REALS = [0, -0.0, 1, -1, np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 5e-324, 1e15, 1e9, 1e5, 100, 1e-3, 1e-12]
+_FACTORS = (10.0, 0.1, -1.0, 1e6, 1e-6, 1 + 1e-9)
+
+
+def _put(content: bytearray, layout: str, at: int, rng: np.random.Generator) -> bytearray:
+    """An extreme value in place of a number, or a little more or less, or a part or multiple of it."""
+    if at < 0 or at + struct.calcsize("<" + layout) > len(content):
+        return content
+    old = struct.unpack_from("<" + layout, content, at)[0]
+    if layout == "d":
+        with np.errstate(over="ignore"):
+            new = float(rng.choice(_REALS) if rng.random() < 0.7 else np.float64(old) * rng.choice(_FACTORS))
+    else:
+        bits = 8 * struct.calcsize("<" + layout)
+        extreme = (1 << int(rng.integers(bits + 1))) + int(rng.integers(-1, 2))
+        near = old + int(rng.integers(-4, 5))
+        new = int((extreme, near, old // 2, 2 * old, 0, int(rng.integers(1 << bits - 1)))[rng.integers(6)])
+        new %= 1 << bits
+        new -= (1 << bits) * (layout.islower() and new >> bits - 1)
+    struct.pack_into("<" + layout, content, at, new)
+    return content
+
+
+def _unit(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+    """Another length of a unit in WKT, as long as the old one."""
+    found = list(re.finditer(rb"UNIT\[[^,]*,([0-9.eE+-]+)", bytes(content)))
+    if found:
+        one = found[rng.integers(len(found))]
+        new = rng.choice(["1e300", "0", "-1", "nan", "inf", "2", "0.3", "1e4", "9", "x"]).encode()
+        content[one.start(1) : one.end(1)] = new[: len(one[1])].ljust(len(one[1]))
+    return content
+
+
+def _table(content: bytearray, sound: Sound, rng: np.random.Generator) -> bytearray:
+    """An entry of the table of chunks: another size, as that of another, left out, doubled; or bytes moved to another one."""
+    table, record = list(sound.chunks), next(one for one in records(sound.content) if one[1] == b"laszip encoded")
+    i, j, by, what = (int(v) for v in rng.integers([len(table), len(table), 60, 5]))
+    count, size = table[i]
+    table[i : i + 1] = ([(count, size + by)], [table[j]], [], [table[i]] * 2, [(count, max(size - by, 0))])[what]
+    if what == 4:
+        table[j] = (table[j][0], table[j][1] + by)
+
+    def encoded(entries: Sequence[tuple[int, int]]) -> bytes:
+        file = io.BytesIO()
+        lazrs.write_chunk_table(file, list(entries), lazrs.LazVlr(sound.content[record[3] :][: record[4]]))
+        return file.getvalue()
+
+    at, old = sound.start + 8 + sum(size for _, size in sound.chunks), encoded(sound.chunks)
+    content[at : at + len(old)] = encoded(table).ljust(len(old), b"\0")
+    return content
+
+
+# damages of text
+
+_CELLS = (
+    "", " ", "nan", "NaN", "inf", "-Infinity", "1e300", "-1e300", "1e-300", "1e400", "1,5", "1.5.2", "0x10", "1_000", "+5", "1d5",
+    "#", "-", "256", "255", "-1", "7", "0.5", "99999999999999999999", '"', '""', '"5"', '"a,b"', '"a;b"', '"a b"', '"a\nb"',
+    '"a""b"', "'5'", "١٢", "5 # five", "//", "=1+1", "None", "True", "1e9", "\x00", "\u00a05", "512700.00", "1e5", "x", "X", "y",
+    "z", "label", "class", "Classification", "withheld", "Return Number", "#x", "\u00e9", "x y",
+)  # fmt: skip
+_LINES = (b"# x y z", b"//", b"x,y,z", b"z y x", b"\xef\xbb\xbf", b"total: 30", b" ", b"\t", b"5", b'"', b"1 2 3 4 5")
+_MARKS = (b",", b";", b"\t", b" ", b"|", b",,", b", ", b"  ", b"; ", b"\n", b"\r\n", b"\r", b"\n\n", b"\x0b", b"")
+_STRANGE = (b"\xff\xfe", b"\x00", b"\xe9", b"\xc2\xa0", b"\x1a", b"\xe2\x80\x83", b"\xa0", b"\xef\xbb\xbf", b'"', b"\r")
+
+
+def _mark(line: bytes) -> bytes:
+    return next((mark for mark in (b";", b",", b"\t") if mark in line), b" ")
+
+
+def _some(lines: Sequence[bytes], rng: np.random.Generator) -> Sequence[int]:
+    """All lines or one, often the first or the second."""
+    return range(len(lines)) if rng.random() < 0.5 else [int(rng.choice([0, 1, rng.integers(len(lines))])) % len(lines)]
+
+
+def _cells(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
+    """A cell, or the same one in all lines: another value, in quotes, left out, doubled, or as another one."""
+    lines, what, value = content.split(b"\n"), int(rng.integers(5)), _CELLS[rng.integers(len(_CELLS))].encode()
+    some = _some(lines, rng)
+    i, j = rng.integers(len(lines[some[-1] // 2].split(_mark(lines[some[-1] // 2]))), size=2)
+    for line in some:
+        mark = _mark(lines[line])
+        cells = lines[line].split(mark)
+        if len(cells) > max(i, j):
+            cells[i : i + 1] = ([value], [b'"' + cells[i] + b'"'], [], [cells[i], cells[j]], [cells[j]])[what]
+            lines[line] = mark.join(cells)
+    return b"\n".join(lines)
+
+
+def _marks(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
+    """Other delimiters or ends of lines, in one line or in all."""
+    new, lines = _MARKS[rng.integers(len(_MARKS))], content.split(b"\n")
+    if rng.random() < 0.3:
+        return new.join(lines)
+    for line in _some(lines, rng):
+        lines[line] = lines[line].replace(_mark(lines[line]), new)
+    return b"\n".join(lines)
+
+
+def _lines(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
+    """A line left out, doubled, as another one, cut short, with a remark, in quotes; a strange line before it or at the start."""
+    lines = content.split(b"\n")
+    at, other, cut = rng.integers([len(lines), len(lines), 20])
+    line, new = bytes(lines[at]), _LINES[rng.integers(len(_LINES))]
+    changed = ([], [line] * 2, [lines[other]], [line[:cut]], [line + b" # a remark"], [b'"' + line + b'"'], [new, line])
+    if rng.random() < 0.1:
+        return b"\n".join([new, *lines])
+    lines[at : at + 1] = changed[rng.integers(len(changed))]
+    return b"\n".join(lines)
+
+
+def _strange(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
+    """UTF-16, or bytes that are no text, or no UTF-8, or a lone quote, somewhere."""
+    if rng.random() < 0.1:
+        return content.decode("latin-1").encode("utf-16")
+    at = int(rng.choice([0, rng.integers(len(content) + 1)]))
+    return content[:at] + _STRANGE[rng.integers(len(_STRANGE))] + content[at:]
+
+
+Act = Callable[[bytearray, Sound, np.random.Generator], bytes | bytearray]
+ANY: dict[str, Act] = {
+    "bits": _bits, "bytes": _bytes, "swapped": _swapped, "truncated": _truncated, "removed": _removed, "doubled": _doubled,
+    "appended": _appended,
+}  # fmt: skip
+TEXT: dict[str, Act] = {"cells": _cells, "delimiters": _marks, "lines": _lines, "strange bytes": _strange}
+
+
+# the process in which they are tried
+
+
+class Worker:
+    """Calls of a function in a process of its own, which is ended and begun anew when it takes too long or dies.
+
+    ``memory``: bytes that it may take beside what it has once it has loaded the modules.
+    """
+
+    def __init__(self, function: Callable[..., Any], seconds: float = 30.0, memory: int = 2 * 2**30) -> None:
+        self.function, self.seconds, self.memory = function, seconds, memory
+        self.process: Any = None
+
+    def __call__(self, *arguments: Any) -> tuple[str, str]:
+        """What came of a call, and details: what the function returned as a pair; or the name of what it raised; "killed" or
+        "died"."""
+        if self.process is None:
+            context = multiprocessing.get_context("spawn")
+            self.pipe, other = context.Pipe()
+            self.process = context.Process(target=_serve, args=(other, self.function, self.memory), daemon=True)
+            self.process.start()
+            other.close()
+            assert self.pipe.poll(120) and self.pipe.recv() == "ready"
+        self.pipe.send(arguments)
+        try:
+            if self.pipe.poll(self.seconds):
+                return self.pipe.recv()
+            outcome = ("killed", f"no answer in {self.seconds:g} s")
+        except (EOFError, ConnectionError):
+            self.process.join()
+            outcome = ("died", f"exit code {self.process.exitcode}")
+        self.close()
+        return outcome
+
+    def close(self) -> None:
+        """End the process."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.join()
+            self.process = None
+
+
+def _serve(pipe: Connection, function: Callable[..., Any], memory: int) -> None:
+    if sys.platform == "linux":
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        limit = pages * os.sysconf("SC_PAGE_SIZE") + memory
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    pipe.send("ready")
+    while True:
+        try:
+            arguments = pipe.recv()
+        except EOFError:
+            return
+        try:
+            pipe.send(function(*arguments))
+        except BaseException as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            pipe.send((type(error).__name__, f"{error} ({Path(last.filename).name}:{last.lineno})"))
