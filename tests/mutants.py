@@ -17,7 +17,8 @@ import struct
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ import numpy as np
 from las_files import make_copc, make_las
 
 KINDS = ("las", "laz", "copc", "text")
+ANY = ("bits", "bytes", "swapped", "truncated", "removed", "doubled", "appended", "splice")
+TEXT = ("cells", "delimiters", "lines", "ends of lines", "strange bytes", "UTF-16")
+"""Damages of any file, and of text; those of LAS are :func:`fields`, "unit" and, of compressed points, "table"."""
 _FIRST_MINOR = (0, 0, 2, 2, 3, 3, 4, 4, 4, 4, 4)  # the minor version of LAS in which each point format came
 LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # bytes of a point record of each point format
 _POINTS = 60
@@ -182,19 +186,24 @@ class Mutant:
 def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> Mutant:
     """The mutant of this number, always the same for the same files, kind, seed and number. One to three damages."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
-    own = [one for one in sounds if one.kind == kind]
-    sound = own[rng.integers(len(own))]
-    names = [*ANY, *TEXT] if kind == "text" else [*ANY, *fields(sound), "unit", *["table"] * bool(sound.chunks)]
+    same = [one for one in sounds if one.kind == kind]
+    sound = same[rng.integers(len(same))]
+    own = TEXT if kind == "text" else (*fields(sound), "unit", *["table"] * bool(sound.chunks))
+    names = [one for one in (*ANY, *own) if one != "splice"]
     content, damages = bytearray(sound.content), []
     while bytes(content) == sound.content or (rng.random() < 0.3 and len(damages) < 3):
         damages.append("splice" if rng.random() < 0.06 else names[rng.integers(len(names))])
-        if damages[-1] == "splice":
-            content = _spliced(content, sounds[rng.integers(len(sounds))].content, rng)
-        elif damages[-1] in (acts := ANY | TEXT | {"unit": _unit, "table": _table}):
-            content = bytearray(acts[damages[-1]](content, sound, rng))
+        if damages[-1] in TEXT:
+            content = damage_text(damages[-1], content, rng)
+        elif damages[-1] in ANY:
+            content = damage_bytes(damages[-1], content, sounds[rng.integers(len(sounds))].content, rng)
+        elif damages[-1] == "table":
+            damage_table(content, sound, rng)
+        elif damages[-1] == "unit":
+            damage_unit(content, rng)
         else:
             places = fields(sound)[damages[-1]]
-            content = _put(content, *places[rng.integers(len(places))], rng)
+            put(content, *places[rng.integers(len(places))], rng)
     return Mutant(sound, tuple(damages), bytes(content))
 
 
@@ -206,51 +215,31 @@ def _place(content: bytearray, rng: np.random.Generator) -> int:
     return int(rng.integers(max(min(limit, len(content)), 1)))
 
 
-def _spliced(content: bytearray, other: bytes, rng: np.random.Generator) -> bytearray:
-    """The beginning of one file and the end of another, cut at the same place or anywhere."""
-    at = _place(content, rng)
-    return content[:at] + other[at if rng.random() < 0.5 else int(rng.integers(len(other))) :]
-
-
-# damages of any bytes
-
-
-def _bits(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    for _ in range(int(rng.integers(1, 9)) if content else 0):
-        content[_place(content, rng)] ^= 1 << int(rng.integers(8))
-    return content
-
-
-def _bytes(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    at = _place(content, rng)
-    length = min(int(rng.integers(1, 17)), len(content) - at)
-    content[at : at + length] = (rng.bytes(length), bytes(length), b"\xff" * length)[rng.integers(3)]
-    return content
-
-
-def _swapped(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    """A few bytes in reverse order, as in numbers of machines of the other kind."""
-    at, length = _place(content, rng), int(rng.choice([2, 4, 8]))
-    content[at : at + length] = content[at : at + length][::-1]
-    return content
-
-
-def _truncated(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    return content[: _place(content, rng)]
-
-
-def _removed(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    at = _place(content, rng)
-    return content[:at] + content[at + int(rng.integers(1, 400)) :]
-
-
-def _doubled(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
+def damage_bytes(what: str, content: bytearray, other: bytes, rng: np.random.Generator) -> bytearray:
+    """One of :data:`ANY`; ``other`` is the content of another file."""
     at, to = _place(content, rng), _place(content, rng)
-    return content[:to] + content[at : at + int(rng.integers(1, 400))] + content[to:]
-
-
-def _appended(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    return content + rng.bytes(int(rng.integers(1, 3000)))
+    few, many = int(rng.integers(1, 17)), int(rng.integers(1, 400))
+    match what:
+        case "bits":
+            for place in [at, to, *(_place(content, rng) for _ in range(few % 5))][few % 2 :]:
+                content[place : place + 1] = [one ^ 1 << int(rng.integers(8)) for one in content[place : place + 1]]
+        case "bytes":
+            few = min(few, len(content) - at)
+            content[at : at + few] = (rng.bytes(few), bytes(few), b"\xff" * few)[rng.integers(3)]
+        case "swapped":  # as numbers of machines with another order of bytes
+            few = int(rng.choice([2, 4, 8]))
+            content[at : at + few] = content[at : at + few][::-1]
+        case "truncated":
+            del content[at:]
+        case "removed":
+            del content[at : at + many]
+        case "doubled":
+            content[to:to] = content[at : at + many]
+        case "appended":
+            content += rng.bytes(8 * many)
+        case "splice":  # the end of another file, from the same place on or from anywhere
+            content[at:] = other[at if rng.random() < 0.5 else int(rng.integers(len(other))) :]
+    return content
 
 
 # damages of LAS, LAZ and COPC
@@ -312,36 +301,32 @@ _REALS = [0, -0.0, 1, -1, np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 5e-324
 _FACTORS = (10.0, 0.1, -1.0, 1e6, 1e-6, 1 + 1e-9)
 
 
-def _put(content: bytearray, layout: str, at: int, rng: np.random.Generator) -> bytearray:
+def put(content: bytearray, layout: str, at: int, rng: np.random.Generator) -> None:
     """An extreme value in place of a number, or a little more or less, or a part or multiple of it."""
-    if at < 0 or at + struct.calcsize("<" + layout) > len(content):
-        return content
+    size = struct.calcsize("<" + layout)
+    if at < 0 or at + size > len(content):
+        return
     old = struct.unpack_from("<" + layout, content, at)[0]
     if layout == "d":
         with np.errstate(over="ignore"):
             new = float(rng.choice(_REALS) if rng.random() < 0.7 else np.float64(old) * rng.choice(_FACTORS))
-    else:
-        bits = 8 * struct.calcsize("<" + layout)
-        extreme = (1 << int(rng.integers(bits + 1))) + int(rng.integers(-1, 2))
-        near = old + int(rng.integers(-4, 5))
-        new = int((extreme, near, old // 2, 2 * old, 0, int(rng.integers(1 << bits - 1)))[rng.integers(6)])
-        new %= 1 << bits
-        new -= (1 << bits) * (layout.islower() and new >> bits - 1)
-    struct.pack_into("<" + layout, content, at, new)
-    return content
+        struct.pack_into("<d", content, at, new)
+        return
+    extreme, near = (1 << int(rng.integers(8 * size + 1))) + int(rng.integers(-1, 2)), old + int(rng.integers(-4, 5))
+    new = (extreme, near, old // 2, 2 * old, 0, int(rng.integers(1 << 8 * size - 1)))[rng.integers(6)]
+    content[at : at + size] = int(new % (1 << 8 * size)).to_bytes(size, "little")
 
 
-def _unit(content: bytearray, _: Sound, rng: np.random.Generator) -> bytearray:
-    """Another length of a unit in WKT, as long as the old one."""
+def damage_unit(content: bytearray, rng: np.random.Generator) -> None:
+    """Another length of a unit in WKT, in as many bytes."""
     found = list(re.finditer(rb"UNIT\[[^,]*,([0-9.eE+-]+)", bytes(content)))
     if found:
         one = found[rng.integers(len(found))]
         new = rng.choice(["1e300", "0", "-1", "nan", "inf", "2", "0.3", "1e4", "9", "x"]).encode()
         content[one.start(1) : one.end(1)] = new[: len(one[1])].ljust(len(one[1]))
-    return content
 
 
-def _table(content: bytearray, sound: Sound, rng: np.random.Generator) -> bytearray:
+def damage_table(content: bytearray, sound: Sound, rng: np.random.Generator) -> None:
     """An entry of the table of chunks: another size, as that of another, left out, doubled; or bytes moved to another one."""
     table, record = list(sound.chunks), next(one for one in records(sound.content) if one[1] == b"laszip encoded")
     i, j, by, what = (int(v) for v in rng.integers([len(table), len(table), 60, 5]))
@@ -357,7 +342,6 @@ def _table(content: bytearray, sound: Sound, rng: np.random.Generator) -> bytear
 
     at, old = sound.start + 8 + sum(size for _, size in sound.chunks), encoded(sound.chunks)
     content[at : at + len(old)] = encoded(table).ljust(len(old), b"\0")
-    return content
 
 
 # damages of text
@@ -369,69 +353,44 @@ _CELLS = (
     "z", "label", "class", "Classification", "withheld", "Return Number", "#x", "\u00e9", "x y",
 )  # fmt: skip
 _LINES = (b"# x y z", b"//", b"x,y,z", b"z y x", b"\xef\xbb\xbf", b"total: 30", b" ", b"\t", b"5", b'"', b"1 2 3 4 5")
-_MARKS = (b",", b";", b"\t", b" ", b"|", b",,", b", ", b"  ", b"; ", b"\n", b"\r\n", b"\r", b"\n\n", b"\x0b", b"")
-_STRANGE = (b"\xff\xfe", b"\x00", b"\xe9", b"\xc2\xa0", b"\x1a", b"\xe2\x80\x83", b"\xa0", b"\xef\xbb\xbf", b'"', b"\r")
+_MARKS = (b",", b";", b"\t", b" ", b"|", b",,", b", ", b"  ", b"; ", b"")
+_ENDS = (b"\r\n", b"\r", b"\n\n", b"\n \n", b"\x0b", b"\x0c", b"")
+_STRANGE = (b"\xff\xfe", b"\x00", b"\xe9", b"\xc2\xa0", b"\x1a", b"\xe2\x80\x83", b"\xa0", b"\xef\xbb\xbf", b'"', b"\n")
+
+
+def damage_text(what: str, content: bytearray, rng: np.random.Generator) -> bytearray:
+    """One of :data:`TEXT`, in all lines or in one, often the first or the second."""
+    lines = content.split(b"\n")
+    cells = [line.split(_mark(line)) for line in lines]
+    at = int(rng.choice([0, 1, rng.integers(len(lines))])) % len(lines)
+    some, line = range(len(lines)) if rng.random() < 0.5 else [at], bytes(lines[at])
+    i, j = rng.integers(len(cells[len(lines) // 2]), size=2)
+    value, how, cut = _CELLS[rng.integers(len(_CELLS))].encode(), int(rng.integers(7)), int(rng.integers(20))
+    match what:
+        case "cells":  # another value, in quotes, left out, doubled, or as another one
+            for k in (k for k in some if len(cells[k]) > max(i, j)):
+                one, other = cells[k][i], cells[k][j]
+                cells[k][i : i + 1] = ([value], [b'"' + one + b'"'], [], [one, other], [other])[how % 5]
+                lines[k] = _mark(lines[k]).join(cells[k])
+        case "delimiters":
+            for k in some:
+                lines[k] = _MARKS[cut % len(_MARKS)].join(cells[k])
+        case "lines":  # left out, doubled, as another one, cut short, with a remark, in quotes, after a strange one
+            other, new = lines[rng.integers(len(lines))], _LINES[rng.integers(len(_LINES))]
+            changed = [], [line] * 2, [other], [line[:cut]], [line + b" # five"], [b'"' + line + b'"'], [new, line]
+            lines[at : at + 1] = changed[how]
+        case "ends of lines":
+            return bytearray(_ENDS[how % len(_ENDS)].join(lines))
+        case "strange bytes":
+            place = int(rng.choice([0, rng.integers(len(content) + 1)]))
+            return content[:place] + _STRANGE[rng.integers(len(_STRANGE))] + content[place:]
+        case "UTF-16":
+            return bytearray(content.decode("latin-1").encode("utf-16"))
+    return bytearray(b"\n".join(lines))
 
 
 def _mark(line: bytes) -> bytes:
     return next((mark for mark in (b";", b",", b"\t") if mark in line), b" ")
-
-
-def _some(lines: Sequence[bytes], rng: np.random.Generator) -> Sequence[int]:
-    """All lines or one, often the first or the second."""
-    return range(len(lines)) if rng.random() < 0.5 else [int(rng.choice([0, 1, rng.integers(len(lines))])) % len(lines)]
-
-
-def _cells(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
-    """A cell, or the same one in all lines: another value, in quotes, left out, doubled, or as another one."""
-    lines, what, value = content.split(b"\n"), int(rng.integers(5)), _CELLS[rng.integers(len(_CELLS))].encode()
-    some = _some(lines, rng)
-    i, j = rng.integers(len(lines[some[-1] // 2].split(_mark(lines[some[-1] // 2]))), size=2)
-    for line in some:
-        mark = _mark(lines[line])
-        cells = lines[line].split(mark)
-        if len(cells) > max(i, j):
-            cells[i : i + 1] = ([value], [b'"' + cells[i] + b'"'], [], [cells[i], cells[j]], [cells[j]])[what]
-            lines[line] = mark.join(cells)
-    return b"\n".join(lines)
-
-
-def _marks(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
-    """Other delimiters or ends of lines, in one line or in all."""
-    new, lines = _MARKS[rng.integers(len(_MARKS))], content.split(b"\n")
-    if rng.random() < 0.3:
-        return new.join(lines)
-    for line in _some(lines, rng):
-        lines[line] = lines[line].replace(_mark(lines[line]), new)
-    return b"\n".join(lines)
-
-
-def _lines(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
-    """A line left out, doubled, as another one, cut short, with a remark, in quotes; a strange line before it or at the start."""
-    lines = content.split(b"\n")
-    at, other, cut = rng.integers([len(lines), len(lines), 20])
-    line, new = bytes(lines[at]), _LINES[rng.integers(len(_LINES))]
-    changed = ([], [line] * 2, [lines[other]], [line[:cut]], [line + b" # a remark"], [b'"' + line + b'"'], [new, line])
-    if rng.random() < 0.1:
-        return b"\n".join([new, *lines])
-    lines[at : at + 1] = changed[rng.integers(len(changed))]
-    return b"\n".join(lines)
-
-
-def _strange(content: bytearray, _: Sound, rng: np.random.Generator) -> bytes:
-    """UTF-16, or bytes that are no text, or no UTF-8, or a lone quote, somewhere."""
-    if rng.random() < 0.1:
-        return content.decode("latin-1").encode("utf-16")
-    at = int(rng.choice([0, rng.integers(len(content) + 1)]))
-    return content[:at] + _STRANGE[rng.integers(len(_STRANGE))] + content[at:]
-
-
-Act = Callable[[bytearray, Sound, np.random.Generator], bytes | bytearray]
-ANY: dict[str, Act] = {
-    "bits": _bits, "bytes": _bytes, "swapped": _swapped, "truncated": _truncated, "removed": _removed, "doubled": _doubled,
-    "appended": _appended,
-}  # fmt: skip
-TEXT: dict[str, Act] = {"cells": _cells, "delimiters": _marks, "lines": _lines, "strange bytes": _strange}
 
 
 # the process in which they are tried
@@ -445,50 +404,41 @@ class Worker:
 
     def __init__(self, function: Callable[..., Any], seconds: float = 30.0, memory: int = 2 * 2**30) -> None:
         self.function, self.seconds, self.memory = function, seconds, memory
-        self.process: Any = None
+        self.pool: ProcessPoolExecutor | None = None
 
     def __call__(self, *arguments: Any) -> tuple[str, str]:
-        """What came of a call, and details: what the function returned as a pair; or the name of what it raised; "killed" or
-        "died"."""
-        if self.process is None:
-            context = multiprocessing.get_context("spawn")
-            self.pipe, other = context.Pipe()
-            self.process = context.Process(target=_serve, args=(other, self.function, self.memory), daemon=True)
-            self.process.start()
-            other.close()
-            assert self.pipe.poll(120) and self.pipe.recv() == "ready"
-        self.pipe.send(arguments)
+        """What the function returns; or the name of what it raises, "killed" or "died", and a message."""
+        if self.pool is None:
+            started = (self.function, self.memory)
+            self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _limit, started)
+            self.pool.submit(os.getpid).result()
         try:
-            if self.pipe.poll(self.seconds):
-                return self.pipe.recv()
-            outcome = ("killed", f"no answer in {self.seconds:g} s")
-        except (EOFError, ConnectionError):
-            self.process.join()
-            outcome = ("died", f"exit code {self.process.exitcode}")
+            return self.pool.submit(_caught, self.function, *arguments).result(self.seconds)
+        except TimeoutError:
+            outcome = "killed", f"no answer in {self.seconds:g} s"
+        except BrokenProcessPool as error:
+            outcome = "died", str(error)
         self.close()
         return outcome
 
     def close(self) -> None:
         """End the process."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.join()
-            self.process = None
+        if self.pool is not None:
+            for process in (self.pool._processes or {}).values():
+                process.kill()
+            self.pool.shutdown()
+            self.pool = None
 
 
-def _serve(pipe: Connection, function: Callable[..., Any], memory: int) -> None:
+def _limit(_: Any, memory: int) -> None:
     if sys.platform == "linux":
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        limit = pages * os.sysconf("SC_PAGE_SIZE") + memory
+        limit = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + memory
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    pipe.send("ready")
-    while True:
-        try:
-            arguments = pipe.recv()
-        except EOFError:
-            return
-        try:
-            pipe.send(function(*arguments))
-        except BaseException as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            pipe.send((type(error).__name__, f"{error} ({Path(last.filename).name}:{last.lineno})"))
+
+
+def _caught(function: Callable[..., tuple[str, str]], *arguments: Any) -> tuple[str, str]:
+    try:
+        return function(*arguments)
+    except BaseException as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return type(error).__name__, f"{error} ({Path(last.filename).name}:{last.lineno})"
