@@ -9,9 +9,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import io
+import itertools
 import multiprocessing
 import os
-import re
 import resource
 import struct
 import sys
@@ -28,8 +28,8 @@ from las_files import make_copc, make_las
 
 KINDS = ("las", "laz", "copc", "text")
 ANY = ("bits", "bytes", "swapped", "truncated", "removed", "doubled", "appended", "splice")
-TEXT = ("cells", "delimiters", "lines", "ends of lines", "strange bytes", "UTF-16")
-"""Damages of any file, and of text; those of LAS are :func:`fields`, "unit" and, of compressed points, "table"."""
+TEXT = ("cells", "delimiters", "lines", "ends of lines", "strange bytes")
+"""Damages of any file, and of text; those of LAS are :func:`fields` and, of compressed points, "table"."""
 _FIRST_MINOR = (0, 0, 2, 2, 3, 3, 4, 4, 4, 4, 4)  # the minor version of LAS in which each point format came
 LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # bytes of a point record of each point format
 _POINTS = 60
@@ -171,40 +171,25 @@ def text_files() -> list[Sound]:
 # mutants
 
 
-@dataclasses.dataclass(frozen=True)
-class Mutant:
-    """A damaged file: the sound one, the damages, and its bytes."""
-
-    sound: Sound
-    damages: tuple[str, ...]
-    content: bytes
-
-    def __str__(self) -> str:
-        return f"{self.sound.name}, {' + '.join(self.damages)}"
-
-
-def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> Mutant:
-    """The mutant of this number, always the same for the same files, kind, seed and number. One to three damages."""
+def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> tuple[Sound, str, bytes]:
+    """A sound file, one to three damages, and the bytes of the damaged file; the same for the same kind, seed and number."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
     same = [one for one in sounds if one.kind == kind]
     sound = same[rng.integers(len(same))]
-    own = TEXT if kind == "text" else (*fields(sound), "unit", *["table"] * bool(sound.chunks))
-    names = [one for one in (*ANY, *own) if one != "splice"]
+    names = [*ANY, *(TEXT if kind == "text" else fields(sound)), *["table"] * bool(sound.chunks)]
     content, damages = bytearray(sound.content), []
     while bytes(content) == sound.content or (rng.random() < 0.3 and len(damages) < 3):
-        damages.append("splice" if rng.random() < 0.06 else names[rng.integers(len(names))])
+        damages.append(names[rng.integers(len(names))])
         if damages[-1] in TEXT:
             content = damage_text(damages[-1], content, rng)
         elif damages[-1] in ANY:
             content = damage_bytes(damages[-1], content, sounds[rng.integers(len(sounds))].content, rng)
         elif damages[-1] == "table":
             damage_table(content, sound, rng)
-        elif damages[-1] == "unit":
-            damage_unit(content, rng)
         else:
             places = fields(sound)[damages[-1]]
             put(content, *places[rng.integers(len(places))], rng)
-    return Mutant(sound, tuple(damages), bytes(content))
+    return sound, " + ".join(damages), bytes(content)
 
 
 def _place(content: bytearray, rng: np.random.Generator) -> int:
@@ -258,37 +243,33 @@ def records(content: bytes) -> list[tuple[int, bytes, int, int, int]]:
     return found
 
 
+NUMBERS = {  # in the data of records: what they belong to, bytes of an entry, and layouts and places in each entry
+    (b"LASF_Spec", 4): ("extra bytes", 192, "B2 B3 B4 d40 d112 d136"),
+    (b"LASF_Projection", 34735): ("keys", 2, "H0"),
+    (b"LASF_Projection", 2112): ("WKT", 1, "B0"),
+    (b"laszip encoded", 22204): ("laszip", 64, "H0 H2 B4 B5 I8 I12 q16 q24 H32 H34 H36 H38 H40 H42 H44 H46 H48 H50"),
+    (b"copc", 1): ("octree", 160, "d0 d8 d16 d24 d32 Q40 Q48 d56 d64"),
+    (b"copc", 1000): ("nodes", 32, "i0 i4 i8 i12 Q16 i24 i28"),
+}
+HEADER = "H4 H6 B24 B25 H90 H92 H94 I96 I100 B104 H105 I107 I111 I115 d131 d139 d147 d155 d163 d171 d179 d187 d195 d203 d211 d219"
+HEADER_14 = " Q227 Q235 I243 Q247 Q255 Q263"
+"""Numbers of the header, and those that LAS 1.4 adds (LAS 1.4 R15, table 3)."""
+
+
 @functools.cache
 def fields(sound: Sound) -> dict[str, list[tuple[str, int]]]:
     """Layout and place of the numbers that readers of LAS believe, by what they belong to."""
-    found: dict[str, list[tuple[str, int]]] = {
-        "header": [  # LAS 1.4 R15, table 3
-            *(("H", at) for at in (4, 6, 90, 92, 94, 105)), *(("B", at) for at in (24, 25, 104)),
-            *(("I", at) for at in (96, 100, *range(107, 131, 4))), *(("d", at) for at in range(131, 227, 8)),
-            *([("Q", 227), ("Q", 235), ("I", 243), *(("Q", at) for at in range(247, 375, 8))] if sound.content[25] > 3 else []),
-        ],
-        "records": [],
-    }  # fmt: skip
     content, start = sound.content, sound.start
     length = struct.unpack_from("<H", content, 105)[0]
     point = start + (8 if sound.chunks else length * (_POINTS // 2))  # the first one of a chunk is not compressed
-    found["points"] = [("i", point + 4 * axis) for axis in range(3)]
+    found = {"header": [], "records": [], "points": [("i", point + 4 * axis) for axis in range(3)]}
+    found["header"] = [(one[0], int(one[1:])) for one in (HEADER + HEADER_14 * (content[25] >= 4)).split()]
     for at, user, number, data, size in records(content):
         found["records"] += [("H", at + 18), ("Q" if data - at == _EVLR else "H", at + 20), ("B", at + 2)]
-        if (user, number) == (b"LASF_Spec", 4):
-            places = (("B", 2), ("B", 3), ("B", 4), ("d", 40), ("d", 112), ("d", 136))
-            found["extra bytes"] = [(layout, data + 192 * i + k) for i in range(size // 192) for layout, k in places]
-        elif (user, number) == (b"LASF_Projection", 34735):
-            found["keys"] = [("H", data + k) for k in range(0, size, 2)]
-        elif (user, number) == (b"laszip encoded", 22204):
-            found["laszip"] = [("H", data), ("H", data + 2), ("B", data + 4), ("B", data + 5), ("I", data + 8)]
-            found["laszip"] += [("I", data + 12), ("q", data + 16), ("q", data + 24)]
-            found["laszip"] += [("H", data + k) for k in range(32, size, 2)]
-        elif (user, number) == (b"copc", 1):
-            found["octree"] = [("Q" if k in (5, 6) else "d", data + 8 * k) for k in range(9)]
-        elif (user, number) == (b"copc", 1000):
-            entry = (("i", 0), ("i", 4), ("i", 8), ("i", 12), ("Q", 16), ("i", 24), ("i", 28))
-            found["octree"] += [(layout, data + 32 * i + k) for i in range(size // 32) for layout, k in entry]
+        if (user, number) in NUMBERS:
+            group, entry, places = NUMBERS[user, number]
+            entries = itertools.product(range(0, size, entry), places.split())
+            found[group] = [(one[0], data + i + int(one[1:])) for i, one in entries if i + int(one[1:]) < size]
     if sound.chunks:
         table = struct.unpack_from("<q", content, start)[0]
         found["chunks"] = [("q", start), ("I", table), ("I", table + 4), *(("B", table + 8 + k) for k in range(8))]
@@ -315,15 +296,6 @@ def put(content: bytearray, layout: str, at: int, rng: np.random.Generator) -> N
     extreme, near = (1 << int(rng.integers(8 * size + 1))) + int(rng.integers(-1, 2)), old + int(rng.integers(-4, 5))
     new = (extreme, near, old // 2, 2 * old, 0, int(rng.integers(1 << 8 * size - 1)))[rng.integers(6)]
     content[at : at + size] = int(new % (1 << 8 * size)).to_bytes(size, "little")
-
-
-def damage_unit(content: bytearray, rng: np.random.Generator) -> None:
-    """Another length of a unit in WKT, in as many bytes."""
-    found = list(re.finditer(rb"UNIT\[[^,]*,([0-9.eE+-]+)", bytes(content)))
-    if found:
-        one = found[rng.integers(len(found))]
-        new = rng.choice(["1e300", "0", "-1", "nan", "inf", "2", "0.3", "1e4", "9", "x"]).encode()
-        content[one.start(1) : one.end(1)] = new[: len(one[1])].ljust(len(one[1]))
 
 
 def damage_table(content: bytearray, sound: Sound, rng: np.random.Generator) -> None:
@@ -382,10 +354,10 @@ def damage_text(what: str, content: bytearray, rng: np.random.Generator) -> byte
         case "ends of lines":
             return bytearray(_ENDS[how % len(_ENDS)].join(lines))
         case "strange bytes":
+            if how == 0:
+                return bytearray(content.decode("latin-1").encode("utf-16"))
             place = int(rng.choice([0, rng.integers(len(content) + 1)]))
             return content[:place] + _STRANGE[rng.integers(len(_STRANGE))] + content[place:]
-        case "UTF-16":
-            return bytearray(content.decode("latin-1").encode("utf-16"))
     return bytearray(b"\n".join(lines))
 
 

@@ -152,7 +152,7 @@ def within(path: Path, cloud: jf.PointCloud, options: dict, number: int) -> None
     except jf.JaxfilterError as error:
         named(error, path)
         return
-    valid = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid  # others may be near enough to those of the part
+    valid = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid  # others may be near to those of the part
     some = ((xy >= low - step) & (xy < high + step)).all(axis=1) | ~valid
     sure = ((xy >= low + step) & (xy < high - step)).all(axis=1) & valid & (not cloud.source.format.startswith("COPC"))
     if not sure.sum() <= len(part) <= some.sum():
@@ -209,23 +209,17 @@ def test_damaged_files_are_refused_or_read_right(tmp_path, sounds, worker, reque
     number = (MUTANTS if request.config.getoption("--slow") else FEW) // len(mutants.KINDS)
     outcomes, failures = collections.Counter(), []
     for i in range(number):
-        mutant = mutants.mutant(sounds, kind, SEED, i)
-        path = tmp_path / f"in{mutant.sound.suffix}"
-        path.write_bytes(mutant.content)
-        outcome, detail = worker(mutant.sound, path, i)
+        sound, damages, content = mutants.mutant(sounds, kind, SEED, i)
+        path = tmp_path / f"in{sound.suffix}"
+        path.write_bytes(content)
+        outcome, detail = worker(sound, path, i)
         outcomes[outcome] += 1
         if outcome not in (REFUSED, RIGHT):
-            path.rename(tmp_path / f"{i}{mutant.sound.suffix}")
-            failures.append(f"{i}: {mutant}: {outcome}: {detail}")
+            path.rename(tmp_path / f"{i}{sound.suffix}")
+            failures.append(f"{i}: {sound.name}, {damages}: {outcome}: {detail}")
     print(f"{kind}: {dict(outcomes)}")
     assert not failures, "\n".join([f"{dict(outcomes)} in {tmp_path}", *failures[:30]])
     assert min(outcomes[REFUSED], outcomes[RIGHT]) > 0.05 * number
-
-
-def test_mutants_are_those_of_their_number(sounds):
-    for kind in mutants.KINDS:
-        ones, others = ([mutants.mutant(sounds, kind, SEED, i).content for i in range(30)] for _ in range(2))
-        assert ones == others and len(set(ones)) > 25
 
 
 @pytest.mark.parametrize("kind", ["las", "laz", "text"])
