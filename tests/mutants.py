@@ -38,28 +38,15 @@ _VLR, _EVLR = 54, 60  # bytes of the header of a variable length record, and of 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sound:
-    """A sound file.
+    """A sound file."""
 
-    Attributes:
-        kind: one of :data:`KINDS`.
-        name: with a suffix.
-        content: its bytes.
-        records: of LAS, u8[n, length], the records of all points in their order.
-        chunks: of LAZ, the number of points and of bytes of each chunk of compressed points.
-        rows: of text, for each line the coordinates of its point, and whether its label is ground.
-    """
-
-    kind: str
+    kind: str  # one of KINDS
     name: str
     content: bytes
-    records: np.ndarray | None = None
-    chunks: tuple[tuple[int, int], ...] = ()
+    records: np.ndarray | None = None  # of LAS: u8[n, length], the records of all points in their order
+    chunks: tuple[tuple[int, int], ...] = ()  # of LAZ: number of points, and of bytes, of each chunk
     rows: dict[bytes, tuple[float, float, float, bool]] = dataclasses.field(default_factory=dict)
-
-    @property
-    def suffix(self) -> str:
-        """Of the name of a file with such points."""
-        return Path(self.name).suffix
+    """Of text: for each line the coordinates of its point, and whether its label is ground."""
 
     @property
     def start(self) -> int:
@@ -98,12 +85,8 @@ def sound_files(folder: Path) -> list[Sound]:
             found += [las, compressed(las, 16), compressed(las, 50_000)]
     for seed in range(3):
         path = folder / f"octree-{seed}.copc.laz"
-        records = make_copc(path, 120 + 60 * seed, seed)
-        content = path.read_bytes()
-        at = content.find(b"laszip encoded") + 52
-        length = struct.unpack_from("<H", content, at - 34)[0]
-        chunks = _chunks(content, content[at : at + length])
-        found.append(Sound("copc", path.name, content, records, chunks))
+        records = make_copc(path, _POINTS, seed)
+        found.append(Sound("copc", path.name, path.read_bytes(), records, _chunks(path.read_bytes())))
     return found + text_files()
 
 
@@ -132,15 +115,18 @@ def compressed(sound: Sound, size: int) -> Sound:
         struct.pack_into("<Q", body, 235, len(body))
         body += content[extended:]
     name = f"{Path(sound.name).stem}-{size}.laz"
-    return Sound("laz", name, bytes(body), sound.records, _chunks(bytes(body), bytes(data)))
+    return Sound("laz", name, bytes(body), sound.records, _chunks(bytes(body)))
 
 
-def _chunks(content: bytes, record: bytes) -> tuple[tuple[int, int], ...]:
+def _chunks(content: bytes) -> tuple[tuple[int, int], ...]:
     file = io.BytesIO(content)
     file.seek(struct.unpack_from("<I", content, 96)[0])
-    found = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
-    counts = [count or struct.unpack_from("<I", record, 12)[0] for count, _ in found]
-    return tuple((count, size) for count, (_, size) in zip(counts, found, strict=True))
+    return tuple(lazrs.read_chunk_table(file, _laszip(content)))
+
+
+def _laszip(content: bytes) -> lazrs.LazVlr:
+    data = {user: content[at:][:size] for _, user, _, at, size in records(content)}
+    return lazrs.LazVlr(data[b"laszip encoded"])
 
 
 def text_files() -> list[Sound]:
@@ -206,8 +192,8 @@ def damage_bytes(what: str, content: bytearray, other: bytes, rng: np.random.Gen
     few, many = int(rng.integers(1, 17)), int(rng.integers(1, 400))
     match what:
         case "bits":
-            for place in [at, to, *(_place(content, rng) for _ in range(few % 5))][few % 2 :]:
-                content[place : place + 1] = [one ^ 1 << int(rng.integers(8)) for one in content[place : place + 1]]
+            for place in (at, to)[few % 2 :]:
+                content[place : place + 1] = [one ^ 1 << many % 8 for one in content[place : place + 1]]
         case "bytes":
             few = min(few, len(content) - at)
             content[at : at + few] = (rng.bytes(few), bytes(few), b"\xff" * few)[rng.integers(3)]
@@ -300,7 +286,7 @@ def put(content: bytearray, layout: str, at: int, rng: np.random.Generator) -> N
 
 def damage_table(content: bytearray, sound: Sound, rng: np.random.Generator) -> None:
     """An entry of the table of chunks: another size, as that of another, left out, doubled; or bytes moved to another one."""
-    table, record = list(sound.chunks), next(one for one in records(sound.content) if one[1] == b"laszip encoded")
+    table = list(sound.chunks)
     i, j, by, what = (int(v) for v in rng.integers([len(table), len(table), 60, 5]))
     count, size = table[i]
     table[i : i + 1] = ([(count, size + by)], [table[j]], [], [table[i]] * 2, [(count, max(size - by, 0))])[what]
@@ -309,7 +295,7 @@ def damage_table(content: bytearray, sound: Sound, rng: np.random.Generator) -> 
 
     def encoded(entries: Sequence[tuple[int, int]]) -> bytes:
         file = io.BytesIO()
-        lazrs.write_chunk_table(file, list(entries), lazrs.LazVlr(sound.content[record[3] :][: record[4]]))
+        lazrs.write_chunk_table(file, list(entries), _laszip(sound.content))
         return file.getvalue()
 
     at, old = sound.start + 8 + sum(size for _, size in sound.chunks), encoded(sound.chunks)

@@ -17,7 +17,7 @@ from las_files import OFFSETS, Effort, make_copc, make_las, patch
 from laspy import LazBackend
 
 from jaxfilter.core.cloud import PointCloud, as_cloud
-from jaxfilter.core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError
+from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError
 from jaxfilter.files.reading import info, read, write
 
 

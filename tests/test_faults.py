@@ -13,11 +13,8 @@ import time
 from pathlib import Path
 
 import laspy
-import matplotlib.image
 import numpy as np
-import pandas
 import pytest
-import xarray
 from click.testing import CliRunner
 
 import jaxfilter as jf
@@ -36,9 +33,8 @@ def ticks_of(seed, n=400):
     return np.random.default_rng(seed).integers(10_000, 100_000, (n, 3)).astype(np.int32)
 
 
-def make(path, ticks=None):
+def make(path, ticks=ticks_of(0)):  # noqa: B008
     """A file, by laspy or NumPy, of points of class 1 at multiples of SCALE."""
-    ticks = ticks_of(0) if ticks is None else ticks
     if path.suffix == ".xyz":
         np.savetxt(path, ticks * SCALE, fmt="%.2f")
         return path
@@ -209,7 +205,6 @@ def test_symbolic_links(tmp_path):
     link, real = tmp_path / "link.txt", tmp_path / "there" / "real.txt"
     link.symlink_to("there/real.txt")
     with new_file(link) as part:  # a dangling link: the file that it names is made
-        assert part.parent.parent == real.parent
         part.write_text("new")
     with pytest.raises(OutputError, match="exists; pass overwrite"), new_file(link):
         pass
@@ -251,23 +246,6 @@ def test_permissions(tmp_path):
         os.umask(old)
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_name_that_is_taken_meanwhile(tmp_path, monkeypatch, links):
-    def link(*_):
-        raise OSError(errno.EPERM, "no hard links here")
-
-    if not links:
-        monkeypatch.setattr(os, "link", link)
-    with new_file(tmp_path / "first") as part:
-        part.write_text("new")
-    assert (tmp_path / "first").read_text() == "new"
-    taken = pytest.raises(OutputError, match="another program made this file meanwhile")
-    with taken, new_file(tmp_path / "out") as part:
-        part.write_text("mine")
-        (tmp_path / "out").write_text("theirs")
-    assert (tmp_path / "out").read_text() == "theirs" and names(tmp_path) == ["first", "out"]
-
-
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="names of open files come from /proc")
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_on_disk_before_it_is_named(tmp_path, monkeypatch, overwrite):
@@ -307,9 +285,8 @@ def dead(folder, host=None, age=0.0):
 def test_dead_folders_are_removed_and_no_others(tmp_path):
     gone = [dead(tmp_path), dead(tmp_path, "00000000", age=100_000), tmp_path / f".jaxfilter-{files._host()}-ffffffff"]
     gone[-1].mkdir()  # killed before it had made its lock
-    notes, file = tmp_path / ".jaxfilter-notes", tmp_path / f".jaxfilter-{files._host()}-eeeeeeee"
-    notes.mkdir()
-    file.write_text("a file")
+    (notes := tmp_path / ".jaxfilter-notes").mkdir()
+    (file := tmp_path / f".jaxfilter-{files._host()}-eeeeeeee").write_text("a file")
     stay = [dead(tmp_path, "00000000"), notes, file]
     with new_file(tmp_path / "slow") as part, pytest.raises(ZeroDivisionError), new_file(tmp_path / "failed") as other:
         assert part.parent.is_dir() and not any(place.exists() for place in gone)
@@ -322,17 +299,6 @@ def test_dead_folders_are_removed_and_no_others(tmp_path):
     assert names(tmp_path) == sorted(["slow", "quick", *(p.name for p in stay)])
 
 
-def test_without_locks_nothing_is_taken_for_dead(tmp_path, monkeypatch):
-    def flock(*_):
-        raise OSError(errno.ENOSYS, "no locks here")
-
-    monkeypatch.setattr(files.fcntl, "flock", flock)
-    left = dead(tmp_path)
-    with new_file(tmp_path / "out") as part:
-        part.write_text("new")
-    assert names(tmp_path) == [left.name, "out"]
-
-
 def test_the_demo_passes_over_dead_folders(tmp_path):
     dead(tmp_path)
     result = CliRunner().invoke(main, ["demo", str(tmp_path), "--method", "nosuch"])
@@ -340,7 +306,6 @@ def test_the_demo_passes_over_dead_folders(tmp_path):
 
 
 # signals
-
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -387,37 +352,25 @@ def test_a_signal_that_gets_lost_in_a_finaliser_comes_again(tmp_path, monkeypatc
 
 def test_the_library_installs_no_handlers(tmp_path):
     code = (
-        "import signal\n"
-        "before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]\n"
+        "import signal; before = [signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)]\n"
         "import jaxfilter as jf, numpy as np; from jaxfilter.cli import main\n"
         "c = jf.PointCloud.from_arrays(np.random.rand(50, 3)); jf.write('out.las', c, np.zeros(50, bool))\n"
-        "assert before == [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]"
+        "assert before == [signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)]"
     )
-    root = str(Path(__file__).resolve().parents[1])
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": root})
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
 
 
 # full disks
 
-
-OUTPUTS = (*KINDS, ".tif", ".png", ".nc", ".csv")
+OUTPUTS = (*KINDS, ".tif")
 
 
 def output(path, cloud):
-    """Write something large of the kind that the suffix says."""
-    noise = np.random.default_rng(0).random((300, 300))
     if path.suffix in KINDS:
         jf.write(path, cloud, truth(cloud), overwrite=True)
-    elif path.suffix == ".tif":
-        Raster(noise.astype(np.float32), (1.0, 0.0, 9.0, 0.0, -1.0, 9.0)).write(path, overwrite=True)
     else:
-        with new_file(path, overwrite=True) as part:
-            if path.suffix == ".png":
-                matplotlib.image.imsave(part, noise, format="png")
-            elif path.suffix == ".nc":
-                xarray.Dataset({"a": (("x", "y"), noise)}).to_netcdf(part, engine="scipy")
-            else:
-                pandas.DataFrame(noise).to_csv(part)
+        noise = np.random.default_rng(0).random((300, 300), np.float32)
+        Raster(noise, (1.0, 0.0, 9.0, 0.0, -1.0, 9.0)).write(path, overwrite=True)
 
 
 @pytest.fixture(scope="module")
