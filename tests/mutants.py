@@ -114,8 +114,7 @@ def compressed(sound: Sound, size: int) -> Sound:
         extended = struct.unpack_from("<Q", content, 235)[0]
         struct.pack_into("<Q", body, 235, len(body))
         body += content[extended:]
-    name = f"{Path(sound.name).stem}-{size}.laz"
-    return Sound("laz", name, bytes(body), sound.records, _chunks(bytes(body)))
+    return Sound("laz", f"{Path(sound.name).stem}-{size}.laz", bytes(body), sound.records, _chunks(bytes(body)))
 
 
 def _chunks(content: bytes) -> tuple[tuple[int, int], ...]:

@@ -12,7 +12,6 @@ from jaxfilter.core.params import declared
 QUICK = "ost", "ptd", "smrf"
 FILTERS = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in sorted(jf.FILTERS)]
 SECONDS = 10.0  # of the processor, without what is compiled once for all clouds
-DRAWS, MORE = 1, 70  # sets of random parameters of each method, without and with --slow
 
 
 def slope(points):
@@ -81,8 +80,7 @@ def test_odd_clouds_give_labels_or_a_clear_error(method, name, points):
         except jf.InputError as error:
             assert name.startswith("far") and "stray points" in str(error) and "1 of" in str(error)
         else:
-            assert not name.startswith("far")
-            assert len(result) == len(xyz) and result.ground.any()
+            assert not name.startswith("far") and len(result) == len(xyz) and result.ground.any()
     assert time.process_time() - start < SECONDS
 
 
@@ -133,11 +131,15 @@ def drawn(field, rng):
     return float("inf") if meta.get("endless") and rng.random() < 0.2 else float(value)
 
 
+MORE = [pytest.param(range(first, first + 10), marks=pytest.mark.slow) for first in range(1, 70, 10)]
+
+
+@pytest.mark.parametrize("draws", [[0], *MORE])
 @pytest.mark.parametrize("name", sorted(jf.FILTERS))
-def test_random_parameters_give_labels_or_a_clear_error(request, name):
+def test_random_parameters_give_labels_or_a_clear_error(name, draws):
     method = jf.FILTERS[name]
     fields = declared(method)
-    for number in range(MORE if request.config.getoption("--slow") else DRAWS):
+    for number in draws:
         rng = np.random.default_rng([sorted(jf.FILTERS).index(name), number])
         values = {field.name: drawn(field, rng) for field in fields if rng.random() < 0.5}
         xyz, start = walls(400) * 10 ** rng.uniform(-0.5, 2), time.process_time()
