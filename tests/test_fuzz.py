@@ -75,9 +75,9 @@ def of_las(sound: mutants.Sound, content: bytes, cloud: jf.PointCloud, said: boo
     """Points are those of the records in the file, and all of them unless it is ``said`` how many are read. Those of compressed
     chunks that are damaged may be any."""
     start, kind, length, legacy = struct.unpack_from("<I4xBHI", content, 96)
-    announced = (legacy, *struct.unpack_from("<Q", content, 247)) if content[25] >= 4 else (legacy,)
+    announced = {legacy, *(struct.unpack_from("<Q", content, 247) if content[25] >= 4 else ())}
     n = len(cloud)
-    if not said and (n not in announced or n != len(sound.records)):
+    if not said and (n not in announced or (n != len(sound.records) and announced != {0})):
         raise Wrong(f"{n} points of {len(sound.records)}, and no warning")
     if kind & 0x80:
         records, known = sound.records[:n], undamaged(sound, content, start)[:n]
