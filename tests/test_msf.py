@@ -2,13 +2,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy import ndimage
-from scipy.spatial.distance import cdist
 from test_pmf import hamlet
 
-import jaxfilter as jf
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.engines.grid.cones import cone_erosion
 from jaxfilter.methods.msf import MSF
 from jaxfilter.scoring import evaluate
 
@@ -44,28 +40,6 @@ def test_equals_brute_force(changes):
     xyz, _ = hamlet()
     f = MSF(low_clusters=False, initial_distance=0.3171, **changes)
     np.testing.assert_array_equal(f(xyz).ground, brute(xyz, f))
-
-
-@pytest.mark.parametrize("radius", [0.0, 1.0, 2.3, 6.0])
-def test_cone_erosion_equals_scipy(radius):
-    z = np.random.default_rng(2).normal(0, 2, (31, 44)).astype(np.float32)
-    y, x = np.mgrid[-6:7, -6:7]
-    distance = np.hypot(x, y)
-    cone = np.where(distance <= radius, -0.4 * distance, -np.inf)
-    expected = ndimage.grey_erosion(z, footprint=distance <= radius, structure=cone, mode="constant", cval=np.inf)
-    np.testing.assert_allclose(cone_erosion(z, np.float32(0.4), np.float32(radius), 6), expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("max_height, reach", [(1.3, 10 / 3), (9.0, 7.0)])
-def test_the_surface_is_eroded_with_the_slope_as_far_as_the_allowance_grows(max_height, reach):
-    """1.3 m less 0.3 m are reached after 3.3 m of slope 0.3; 9 m are not within the window."""
-    xyz, _ = hamlet()
-    f = MSF(low_clusters=False, slope=0.3, max_height=max_height, window=7.0, initial_distance=0.3)
-    cells = f.cells(f.points_of(jf.PointCloud.from_arrays(xyz)))
-    seen, lowest = np.asarray(cells.seen), np.asarray(cells.lowest)
-    distance = cdist(np.argwhere(seen), np.argwhere(seen))
-    expected = np.where(distance <= reach + 1e-3, lowest[seen] + 0.3 * distance, np.inf).min(axis=1)
-    np.testing.assert_allclose(np.asarray(f.model(cells).z)[seen], expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("degrees, kept", [(29, True), (34, False)])
