@@ -138,6 +138,17 @@ def test_a_building_larger_than_the_window_is_removed_by_the_seed_filter_only():
     assert with_filter.info["seeds"] == with_filter.info["potential_seeds"] - with_filter.info["removed_seeds"]
 
 
+def test_edges_of_seeds_are_long_beyond_the_window_and_two_cells(monkeypatch):
+    given = []
+    keep_all = lambda xyz, long_edge, **_: given.append(long_edge) or np.ones(len(xyz), bool)  # noqa: E731
+    monkeypatch.setattr("jaxfilter.methods.spf.clustered_seeds", keep_all)
+    xyz = lattice(30, 30)
+    xyz[:, 2] = 0.02 * xyz[:, 0]
+    for cell in (1.0, 1.5):
+        jf.SPF(cell=cell, window=20.0)(xyz)
+    assert given == [22.0, 23.0]
+
+
 # Published
 
 

@@ -261,31 +261,6 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
 
 
-def test_walks_end_in_the_triangle_or_behind_an_edge_in_sight(pool, rng):
-    xyz = nodes(rng, random(rng, 3000), twins=False)
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    at = rng.uniform(-40, 168, (4000, 2))
-    found = tin.walk(at, rng.choice(np.flatnonzero(tin.triangles.min(axis=1) >= 0), len(at)))
-    at = np.rint(at / QUANTUM).astype(int)  # positions count to a quantum
-    mesh = Mesh(tin.xy)
-    expected = mesh.find(at)
-    inside = expected >= 0
-    assert ((found >= 0) == inside).all() and 0.2 < inside.mean() < 0.8
-    corners = np.sort(tin.triangles[found[inside]], axis=1)
-    assert np.array_equal(corners, np.sort(mesh.triangles[expected[inside]], axis=1))
-    assert_behind(tin, tin.corners(-1 - found[~inside]), at[~inside])
-
-
-def assert_behind(tin, corners, at):
-    """Each of the triangles, by their corners, has an edge on the hull that is in sight from a position, or holds it."""
-    triangles, neighbours = tin.facets()
-    row, k = np.nonzero(neighbours < 0)
-    rim = set(zip(triangles[row, (k + 1) % 3].tolist(), triangles[row, (k + 2) % 3].tolist(), strict=True))
-    for t, p in zip(corners.tolist(), at.tolist(), strict=True):
-        edges = [(t[k - 2], t[k - 1]) for k in range(3) if (t[k - 2], t[k - 1]) in rim]
-        assert any(turn(tin.xy[a].tolist(), tin.xy[b].tolist(), p) <= 0 for a, b in edges)
-
-
 def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):
     xyz = nodes(rng, grid(rng, 60), twins=False)
     tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
