@@ -93,20 +93,6 @@ def test_slopes_of_a_cell_of_a_million_points_are_summed_in_full():
     assert float(found.mean[0]) == pytest.approx(2047 / 65536, rel=1e-6) and int(found.number[0]) == len(xyz)
 
 
-def test_only_the_steep_cell_with_enough_points_gives_more_seeds():
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 40), np.arange(0.5, 20)))
-    z = np.where(x > 20, np.abs(x - 30) * 0.5 + y * 0.2, 0.001 * x)  # flat on the left, a valley on the right
-    steep_but_empty = [[45, 5, 0], [47, 5, 3], [48, 7, 6], [59.5, 19.5, 9]]
-    points = canonical_points(jf.PointCloud.from_arrays(np.concatenate([np.column_stack([x, y, z]), steep_but_empty])))
-    found = lowest_per_adaptive_cell(points, 20.0, np.zeros(len(points), bool), remainder="own_cells")
-    assert [len(rows) for rows in found.levels] == [3, 4] and found.divided == [1]
-    corner = points.cloud.origin[:2]
-    seeds = {tuple((points.xyz[row, :2] + corner).round(1)) for row in found.rows}
-    assert {(29.5, 0.5), (45.0, 5.0), (0.5, 0.5)} <= seeds  # the lowest point of each of the three cells
-    quarters = {(int((a - 20.5) // 10), int((b - 0.5) // 10)) for a, b in seeds if 20.5 <= a < 40.5}
-    assert quarters == {(0, 0), (0, 1), (1, 0), (1, 1)}
-
-
 def test_with_one_level_it_is_ptd():
     xyz = hills()[0]
     shared = {"seed_cell": 40.0, "max_angle": 20.0, "max_terrain_angle": 15.0}

@@ -37,11 +37,6 @@ def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index(rng):
     assert np.isinf(lowest[7])
 
 
-def test_block_counts_equal_bincount(rng):
-    index, counted = rng.integers(0, 30, 400).astype(np.int32), rng.random(400) < 0.7
-    np.testing.assert_array_equal(block_counts(index, counted, 30), np.bincount(index[counted], minlength=30))
-
-
 def test_small_grids_have_two_shapes_and_padding_wastes_little_on_large_ones():
     assert {padded_shape((n, m)) for n in range(1, 513, 7) for m in range(1, 513, 7)} == {(256, 256), (512, 512)}
     assert padded_shape((100, 50), least=(1, 300)) == (512, 512)
