@@ -24,9 +24,8 @@ SLOW = {
         "Batch.soft",
         "Calibration",
         "Filter.classify",
-        "Fit",
     ),
-    *("GridFilter", "GridFilter.prepare", "IPTD", "PPDF", "STIN", "breaklines", "Rule.verdict", "fit", "fit_curves"),
+    *("GridFilter", "GridFilter.prepare", "IPTD", "PPDF", "STIN", "breaklines", "Rule.verdict"),
     *("fill_membrane", "bilinear", "soft_labels"),
 }
 """Examples that compile much; what they show has tests of its own."""

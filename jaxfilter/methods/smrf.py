@@ -136,7 +136,7 @@ class SMRF(GridFilter):
 
     def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
-        cells, surface, steepest, bare, counts, _ = prepared
+        cells, surface, steepest, bare, counts = prepared
         terrain, objects = _spanned(
             surface, steepest, bare, cells, slope
         )  # as in prepare(), so that it is compiled once
@@ -154,14 +154,6 @@ class SMRF(GridFilter):
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         return _held(surface, xyz, self.threshold, self.scaling)
 
-    def _terrains(self, prepared: Opened, steps: jax.Array) -> Surface:
-        """The terrains at steps f32[k] of the series of slopes that ``_soft`` interpolates in."""
-        return jax.vmap(lambda slope: self._terrain(prepared, slope))(jnp.exp2(steps / _PER_OCTAVE))
-
-    def _for_fits(self, prepared: Opened, lowest: Self, highest: Self) -> Opened:
-        first, last = (math.floor(float(_step(one.slope))) for one in (lowest, highest))
-        return prepared._replace(series=(jnp.int32(first), self._terrains(prepared, jnp.arange(first, last + 2.0))))
-
     def _soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
@@ -169,14 +161,10 @@ class SMRF(GridFilter):
         than the one before, and the labels are interpolated. Continuous in ``slope``, ``threshold`` and ``scaling``, and
         differentiable; where half the slope is one of the series the derivative has a jump. f32[n], 0 to 1. Pure."""
         cells, filled, steepest = prepared[:3]
-        step = _step(jnp.asarray(self.slope, jnp.float32))
+        step = _PER_OCTAVE * jnp.log2(0.5 * jnp.asarray(self.slope, jnp.float32))
         first = jax.lax.stop_gradient(jnp.floor(step))
-        if prepared.series is None:
-            ends = self._terrains(prepared, first + jnp.arange(2, dtype=jnp.float32))
-        else:
-            of, terrains = prepared.series
-            begin = (first - of).astype(jnp.int32)
-            ends = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, begin, 2), terrains)
+        slopes = jnp.exp2((first + jnp.arange(2, dtype=jnp.float32)) / _PER_OCTAVE)
+        ends = jax.vmap(lambda slope: self._terrain(prepared, slope))(slopes)
 
         def passed(surface: Surface) -> jax.Array:
             return jax.nn.sigmoid(-self.test(surface, xyz).margin / width)
@@ -197,7 +185,6 @@ class Opened(NamedTuple):
         steepest: f32[rows, columns], metres per cell of radius: at a smaller largest slope a cell is an object.
         bare: bool[rows, columns], cells with points that are neither low outliers nor net.
         counts: numbers of cells, i32[] each.
-        series: for fits, the first of a series of slopes, i32[], and its terrains.
     """
 
     cells: Cells
@@ -205,12 +192,6 @@ class Opened(NamedTuple):
     steepest: jax.Array
     bare: jax.Array
     counts: dict[str, jax.Array]
-    series: tuple[jax.Array, Surface] | None = None
-
-
-def _step(slope: jax.Array | float) -> jax.Array:
-    """Where half a slope lies in the series of slopes."""
-    return _PER_OCTAVE * jnp.log2(0.5 * slope)
 
 
 @functools.partial(jax.jit, static_argnames=("most", "mesh"))
