@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import opening, roomy
@@ -21,13 +21,6 @@ from .papers import bibtex
 
 _PER_OCTAVE = 4  # slopes of the series that :func:`jaxfilter.soft_labels` interpolates in
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
-_OPTIMA = {
-    11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
-    23: (0.27, 13.0, 0.50, 0.90), 24: (0.16, 8.0, 0.20, 2.05), 31: (0.08, 15.0, 0.25, 1.50), 41: (0.22, 16.0, 1.10, 0.00),
-    42: (0.06, 49.0, 1.05, 0.00), 51: (0.05, 17.0, 0.35, 0.90), 52: (0.13, 13.0, 0.25, 2.20), 53: (0.45, 3.0, 0.10, 3.80),
-    54: (0.05, 11.0, 0.15, 2.30), 61: (0.28, 5.0, 0.50, 1.45), 71: (0.13, 15.0, 0.75, 0.00),
-}  # fmt: skip
-"""slope, window, threshold and scaling that the authors found best for each ISPRS sample, on its labels."""
 
 
 @filter_params
@@ -49,9 +42,7 @@ class SMRF(GridFilter):
     The result's ``height`` is metres above the terrain, ``slope`` that of the terrain in degrees, ``margin`` |height|
     minus the tolerance in metres; ``info`` counts cells: all, empty, low, objects.
 
-    "paper" and "recommended" are the single parameter set for all sites (section 3.2), which is the default. The presets
-    "samp11" to "samp71" are the authors' optima per ISPRS sample. They were found with that sample's labels: an upper
-    bound for the method, not settings to expect on unseen data.
+    "paper" and "recommended" are the single parameter set for all sites (section 3.2), which is the default.
 
     Departures (docs/filters/smrf.md): exactly Euclidean disks; bilinear interpolation at the points. Cells are centred on a
     lattice that counts from the cloud's anchor, which by default is that of the authors.
@@ -78,7 +69,6 @@ class SMRF(GridFilter):
             "as printed: the authors' single set for all sites, except that heights at the points are bilinear, not splines"
         ),
         "recommended": Preset("the default: the authors' single set for all sites"),
-        **sample_presets("; the authors' optimum on its labels", "slope window threshold scaling", _OPTIMA),
     }
 
     @classmethod
