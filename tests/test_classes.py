@@ -73,7 +73,7 @@ def test_presets_and_what_they_refuse():
     assert (class_name(17), class_name(64)) == ("17 bridge deck", "64")
     rows = table_of(USGS)
     assert rows.shape == (len(Finding), 256) and (rows[Finding.KEPT, 1:] == np.arange(1, 256)).all()
-    assert (rows[[Finding.OTHER, Finding.WATER, Finding.DECK], 20:] == np.arange(20, 256)).all()
+    assert (rows[[Finding.OTHER, Finding.DECK], 20:] == np.arange(20, 256)).all()
     assert rows[Finding.KEPT, 0] == 1 and rows[Finding.DECK, [0, 1, 2, 5, 6]].tolist() == [17, 17, 17, 5, 6]
 
 
