@@ -36,7 +36,6 @@ def brute(xyz, f):
         {"slope": 0.231},
         {"slope": 0.45, "max_height": 2.117, "window": 13.0},
         {"cell": 1.5, "window": 9.0, "max_height": 0.203},
-        {"cell": 0.8, "window": 5.1},
     ],
 )
 def test_equals_brute_force(changes):
