@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "experiments" / "isprs" / "published"
 sys.path.insert(0, str(ROOT))
 
-from experiments.papers.oracle import without_labelled_objects  # noqa: E402
+from experiments.papers.oracle import tuned, without_labelled_objects  # noqa: E402
 
 
 def hills(count=4000, seed=3, extent=(170.0, 130.0)):
@@ -162,15 +162,15 @@ def test_labelled_objects_that_coincide_with_ground_stay():
     assert left.tolist() == [True, True, False, False, True, True]
 
 
-def test_presets_hold_the_values_of_table_1():
+def test_the_table_of_tuned_parameters_holds_the_values_of_table_1():
     with open(PUBLISHED / "zheng2024_table1.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 15
     for row in rows:
-        preset = jf.AGPTD.preset(row["sample"])
+        own = tuned("agptd", row["sample"])
         printed = tuple(float(row[name]) for name in ("neighbours", "max_angle", "max_distance"))
-        assert (preset.neighbours, preset.max_angle, preset.max_distance) == printed
-        assert preset.radius == (14.0 if row["sample"][4] in "567" else 6.0)
+        assert (own.neighbours, own.max_angle, own.max_distance) == printed
+        assert own.radius == (14.0 if row["sample"][4] in "567" else 6.0)
 
 
 @pytest.mark.data
@@ -179,7 +179,7 @@ def test_presets_hold_the_values_of_table_1():
 def test_the_printed_errors_need_the_labels(sample, number, share, total, kappa):
     """Tables 3 and 6: within half a point of the printed error with the objects of Table 3 taken away, far off without."""
     cloud = sample(number, own_corner=True)
-    method = jf.AGPTD.preset(f"samp{number}")
+    method = tuned("agptd", f"samp{number}")
     left = without_labelled_objects(cloud, share / 100, jax.random.key(0))
     with_labels, without = (jf.evaluate(method(seen), cloud.reference) for seen in (left, cloud))
     assert abs(with_labels.total - total) < 0.5 and abs(with_labels.kappa - kappa) < 1.5

@@ -15,9 +15,9 @@ import pytest
 import jaxfilter as jf
 
 SLOW = {
-    "AGPTD", "ATIN", "Batch", "Batch.confusion", "Batch.ground", "Batch.soft", "Calibration", "Filter.classify", "Fit", "IPTD",
-    "GridFilter", "GridFilter.prepare", "PPDF", "Rule.verdict", "STIN", "bilinear", "breaklines", "fill_membrane", "fit",
-    "fit_curves", "soft_labels",
+    "AGPTD", "ATIN", "Batch", "Batch.confusion", "Batch.ground", "Batch.soft", "Calibration", "Filter.classify", "IPTD",
+    "GridFilter", "GridFilter.prepare", "PPDF", "Rule.verdict", "STIN", "bilinear", "breaklines", "fill_membrane",
+    "soft_labels",
 }  # fmt: skip
 """Examples that compile much; what they show has tests of its own."""
 

@@ -60,13 +60,6 @@ CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 10.0, 2.0]])
 Z = np.array([[3.0, 0.5, -2.0], [1.0, 5.0, 4.25]])
 OPERATIONS = {
     "cone_erosion": (cones.cone_erosion, {"z": Z, "slope": 0.5, "radius": 2.0, "reach": 2}),
-    "cone_limits": (
-        cones.cone_limits,
-        {
-            "xy": POINTS, "lowest": Z, "place": np.zeros((2, 3, 2)), "frame": np.array([0.0, 0.0, 1.0]),
-            "extent": np.array([2, 3]), "limits": np.array([0.1, 0.2, 3.0, 2.0]), "reach": 2,
-        },
-    ),
     "cell_index": (cell_index, {"xy": POINTS, "corner": np.zeros(2), "cell": 1.0, "extent": np.array([2, 3]), "columns": 3}),
     "block_minima": (block_minima, {"index": np.array([0, 2, 2]), "z": POINTS[:, 2], "cells": 3}),
     "block_counts": (block_counts, {"index": np.array([0, 2, 2]), "counted": np.array([True, True, False]), "cells": 3}),
@@ -191,8 +184,6 @@ def test_no_points_are_no_points():
     assert judged["accepted"].shape == (0,) and facets.mirrored(none, np.zeros((0, 3, 3)), True).shape == (0, 3)
     low, there = surface.lowest_below(none, nowhere == 0, [0.0, 0.0, 1.0], [2, 3], (2, 3), True)
     assert not np.asarray(there).any() and not np.asarray(low).any()
-    limits = cones.cone_limits(none, Z, np.zeros((2, 3, 2)), [0.0, 0.0, 1.0], [2, 3], [0.1, 0.2, 3.0, 2.0], 2)
-    assert limits.shape == (0,)
 
 
 def test_points_and_facets_with_nan_pass_no_test():

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 import jaxfilter as jf
+from experiments.papers.oracle import tuned
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.local_planes import over_local_planes
 
@@ -99,8 +100,8 @@ def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
         jf.IPTD(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
 
 
-def test_presets_hold_the_printed_parameters():
-    f = jf.IPTD.preset("samp23")
+def test_the_table_of_tuned_parameters_holds_the_printed_ones():
+    f = tuned("iptd", "samp23")
     assert (f.window, f.k, f.plane_error, f.max_angle, f.max_distance) == (40.0, 600, 0.8, 45.0, 1.5)
     with pytest.raises(jf.ParameterError, match="1000 cells"):
         jf.IPTD(cell=0.01)
@@ -110,6 +111,6 @@ def test_presets_hold_the_printed_parameters():
 @pytest.mark.data
 def test_the_operators_parameters_reach_the_printed_mean(sample):
     clouds = {s: sample(s, own_corner=True) for s in PRINTED}
-    total = {s: jf.evaluate(jf.IPTD.preset(f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
+    total = {s: jf.evaluate(tuned("iptd", f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
     assert np.mean(list(total.values())) <= 7.0
     assert max(abs(total[s] - PRINTED[s]) for s in PRINTED) < 2.0
