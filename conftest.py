@@ -47,7 +47,7 @@ NOT_RUN = {
 
 SLOW = {
     ("docs/arrays.md", "towns ="): "tests/test_batch.py has smaller clouds",
-    ("docs/arrays.md", "import optax"): "tests/test_fit.py has smaller clouds",
+    ("docs/arrays.md", "import optax"): "tests/test_grid_filter.py has the gradient",
     ("docs/arrays.md", "from jaxfilter.engines.cloth import surface"): "each operation has tests of its own",
     (
         "docs/dtm.md",
@@ -60,7 +60,6 @@ SLOW = {
     ("docs/products.md", "jaxfilter ground survey/ usgs/"): "tests/test_classes.py has these presets",
     ("docs/filters/iptd.md", "jf.IPTD()(cloud)"): "tests/test_iptd.py has the method",
     ("docs/filters/ppdf.md", "jf.PPDF"): "tests/test_ppdf.py has the method",
-    ("docs/sweeps.md", "towns ="): "tests/test_fit.py has smaller clouds",
 }
 """Page and beginning of a block that runs with ``--slow`` only, and what is tested without it."""
 
@@ -112,7 +111,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 BRIEF = {f"test_{name}" for name in (
-    "docstrings", "experiments", "cli", "adversarial", "agptd", "bad_arguments", "batch", "csf", "docs", "facets", "fit",
+    "docstrings", "experiments", "cli", "adversarial", "agptd", "bad_arguments", "batch", "csf", "docs", "facets",
     "grid_filter", "inpaint", "iptd", "morphology", "msf", "outliers", "switches", "windows", "x64",
 )}  # fmt: skip
 """Tests that spend their time in XLA, which compiles many programs that run once, for a moment. It compiles them eight times as

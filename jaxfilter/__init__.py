@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from .sweeps.batch import batch
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
-    from .sweeps.fit import Fit, fit
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
     from .terrain.interpolation import Interpolation
@@ -52,7 +51,7 @@ _HOMES = {
     "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster": ("Raster",),
     "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
     "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
-    "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
+    "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports": ("report",
     "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
     ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("breaklines", "chm",
@@ -63,12 +62,12 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "Batch", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision",
-    "FILTERS", "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
+    "FILTERS", "FPTD", "Filter", "FilterResult", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
     "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
     "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status",
     "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm", "citation",
     "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
-    "evaluate", "fit", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
+    "evaluate", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
     "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
 

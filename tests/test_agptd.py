@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "experiments" / "isprs" / "published"
 sys.path.insert(0, str(ROOT))
 
-from experiments.papers.oracle import without_labelled_objects  # noqa: E402
+from experiments.papers.oracle import tuned, without_labelled_objects  # noqa: E402
 
 
 def hills(count=4000, seed=3, extent=(170.0, 130.0)):
@@ -93,20 +93,6 @@ def test_slopes_of_a_cell_of_a_million_points_are_summed_in_full():
     assert float(found.mean[0]) == pytest.approx(2047 / 65536, rel=1e-6) and int(found.number[0]) == len(xyz)
 
 
-def test_only_the_steep_cell_with_enough_points_gives_more_seeds():
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 40), np.arange(0.5, 20)))
-    z = np.where(x > 20, np.abs(x - 30) * 0.5 + y * 0.2, 0.001 * x)  # flat on the left, a valley on the right
-    steep_but_empty = [[45, 5, 0], [47, 5, 3], [48, 7, 6], [59.5, 19.5, 9]]
-    points = canonical_points(jf.PointCloud.from_arrays(np.concatenate([np.column_stack([x, y, z]), steep_but_empty])))
-    found = lowest_per_adaptive_cell(points, 20.0, np.zeros(len(points), bool), remainder="own_cells")
-    assert [len(rows) for rows in found.levels] == [3, 4] and found.divided == [1]
-    corner = points.cloud.origin[:2]
-    seeds = {tuple((points.xyz[row, :2] + corner).round(1)) for row in found.rows}
-    assert {(29.5, 0.5), (45.0, 5.0), (0.5, 0.5)} <= seeds  # the lowest point of each of the three cells
-    quarters = {(int((a - 20.5) // 10), int((b - 0.5) // 10)) for a, b in seeds if 20.5 <= a < 40.5}
-    assert quarters == {(0, 0), (0, 1), (1, 0), (1, 1)}
-
-
 def test_with_one_level_it_is_ptd():
     xyz = hills()[0]
     shared = {"seed_cell": 40.0, "max_angle": 20.0, "max_terrain_angle": 15.0}
@@ -176,15 +162,15 @@ def test_labelled_objects_that_coincide_with_ground_stay():
     assert left.tolist() == [True, True, False, False, True, True]
 
 
-def test_presets_hold_the_values_of_table_1():
+def test_the_table_of_tuned_parameters_holds_the_values_of_table_1():
     with open(PUBLISHED / "zheng2024_table1.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 15
     for row in rows:
-        preset = jf.AGPTD.preset(row["sample"])
+        own = tuned("agptd", row["sample"])
         printed = tuple(float(row[name]) for name in ("neighbours", "max_angle", "max_distance"))
-        assert (preset.neighbours, preset.max_angle, preset.max_distance) == printed
-        assert preset.radius == (14.0 if row["sample"][4] in "567" else 6.0)
+        assert (own.neighbours, own.max_angle, own.max_distance) == printed
+        assert own.radius == (14.0 if row["sample"][4] in "567" else 6.0)
 
 
 @pytest.mark.data
@@ -193,7 +179,7 @@ def test_presets_hold_the_values_of_table_1():
 def test_the_printed_errors_need_the_labels(sample, number, share, total, kappa):
     """Tables 3 and 6: within half a point of the printed error with the objects of Table 3 taken away, far off without."""
     cloud = sample(number, own_corner=True)
-    method = jf.AGPTD.preset(f"samp{number}")
+    method = tuned("agptd", f"samp{number}")
     left = without_labelled_objects(cloud, share / 100, jax.random.key(0))
     with_labels, without = (jf.evaluate(method(seen), cloud.reference) for seen in (left, cloud))
     assert abs(with_labels.total - total) < 0.5 and abs(with_labels.kappa - kappa) < 1.5

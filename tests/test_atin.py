@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
+from experiments.papers.oracle import tuned
 from jaxfilter.methods import atin
 
 
@@ -77,7 +78,7 @@ def test_with_few_deviations_adaptive_thresholds_accept_fewer_objects_on_the_sam
     adaptive, constant = [], []
     for number in (12, 71):
         cloud = sample(number)
-        f = jf.ATIN.preset(f"samp{number}", mirror="off")
+        f = tuned("atin", f"samp{number}", mirror="off")
         adaptive.append(jf.evaluate(f(cloud), cloud.reference).type2)
         constant.append(jf.evaluate(f.replace(thresholds="constant")(cloud), cloud.reference).type2)
     assert (np.array(adaptive) < np.array(constant)).all()

@@ -26,7 +26,6 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.batch([CLOUD], jf.SMRF()).ground({"foo": [1.0]}), jf.ParameterError, "no field 'foo'"),
         (lambda: jf.batch([CLOUD], jf.SMRF()).ground({}), jf.ParameterError, "name at least one field"),
         (lambda: jf.batch([CLOUD], jf.SMRF()).soft(width=-1.0), jf.ParameterError, "width=-1.0"),
-        (lambda: jf.fit(jf.SMRF(), [CLOUD, CLOUD], [TRUTH] * 3), jf.InputError, "2 clouds and labels of 3"),
         (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": np.array(0.3)}), jf.ParameterError, "slope"),
         (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": (0.1, 0.3)}, design="random", size=2, seed=-1),
          jf.ParameterError, "seed=-1"),

@@ -32,8 +32,7 @@ def each(filter_, sets):
 @pytest.mark.parametrize("filter_, sets", [
     pytest.param(jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}, marks=pytest.mark.slow),
     (MSF, {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
-    pytest.param(MSF.replace(distance="points"), {"slope": [0.2, 0.6]}, marks=pytest.mark.slow),
-], ids=["pmf", "msf", "msf-points"])  # fmt: skip
+], ids=["pmf", "msf"])  # fmt: skip
 def test_other_methods_take_batches(scenes, filter_, sets):
     clouds = [scenes["a"].cloud, scenes["b"].cloud]
     made = jf.batch(clouds, filter_, blocks=1)

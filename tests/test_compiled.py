@@ -342,10 +342,3 @@ def test_errors_of_compiled_code_come_through_and_divisions_by_zero_give_infinit
     with pytest.raises(ValueError, match="none"):
         compiled(refuse)(0)
     assert compiled(lambda x: 1 / x)(0.0) == np.inf
-
-
-def test_constants_make_no_further_version_of_a_function(tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
-    inner = compiled(collatz)
-    outer = compiled(lambda n: inner(27) + inner(6) + inner(n))
-    assert outer(1) == 119 and len(inner.signatures) == 1

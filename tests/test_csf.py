@@ -91,16 +91,6 @@ def test_the_cloth_does_not_depend_on_threads_or_sweeps(rng, monkeypatch, sweep,
     assert alone.pinned.any() and not alone.pinned.all()
 
 
-def test_a_cloth_in_free_fall_follows_gravity():
-    cloth = drape(np.full((8, 8), -1e6, np.float32), MOVES[3], 0.1, 0.005, 40)
-    way = speed = 0.0
-    for _ in range(40):
-        speed = 0.99 * speed + 0.1
-        way += speed
-    np.testing.assert_allclose(cloth.height, -way, rtol=1e-5)
-    assert cloth.steps == 40
-
-
 @pytest.mark.parametrize("rigidness", [2, 3])
 def test_the_cloth_bridges_a_hole_of_sixty_particles(rigidness):
     limit = np.full((80, 80), -0.05, np.float32)

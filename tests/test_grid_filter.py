@@ -26,54 +26,6 @@ def small():
     return points, scene.truth[points.index]
 
 
-def passed(filter_, cells, xyz):
-    """bool[n]: ground."""
-    return filter_.test(filter_.model(cells), xyz).margin <= 0
-
-
-def drawn(count, **ranges):
-    """Dicts of ``count`` random values f32 in each of the ranges."""
-    rng = np.random.default_rng(7)
-    return {name: rng.uniform(*ends, count).astype(np.float32) for name, ends in ranges.items()}
-
-
-@pytest.mark.parametrize(
-    "filter_, sets",
-    [
-        pytest.param(
-            PMF,
-            drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0)),
-            marks=pytest.mark.slow,
-        ),
-        (MSF, drawn(6, slope=(0.1, 1.0), max_height=(1.0, 8.0), initial_distance=(0.0, 0.6))),
-    ],
-    ids=["pmf", "msf"],
-)
-def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
-    """Of SMRF docs/arrays.md does the same."""
-    points, _ = small
-    cells = filter_.cells(points)
-    many = jax.vmap(lambda fields: passed(dataclasses.replace(filter_, **fields), cells, points.xyz))(sets)
-    each = [dict(zip(sets, values, strict=True)) for values in zip(*sets.values(), strict=True)]
-    single = [dataclasses.replace(filter_, **fields)(points.cloud).ground[points.index] for fields in each]
-    np.testing.assert_array_equal(many, single)
-    assert len({one.tobytes() for one in single}) > len(single) / 2  # the sets do differ
-
-
-@pytest.mark.parametrize("filter_", [pytest.param(PMF, marks=pytest.mark.slow), MSF], ids=["pmf", "msf"])
-def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
-    points, _ = small
-    x, y, _ = points.xyz.T
-    clouds = [filter_.points_of(jf.PointCloud.from_arrays(points.xyz[part])) for part in (x < x.mean(), y < y.mean())]
-    cells = [filter_.cells(one) for one in clouds]
-    most = max(map(len, clouds))
-    xyz = np.stack([np.pad(one.xyz, ((0, most - len(one)), (0, 0)), mode="edge") for one in clouds])
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cells)
-    many = jax.jit(jax.vmap(passed, in_axes=(None, 0, 0)))(filter_, stacked, xyz)
-    for one, own, ground in zip(clouds, cells, many, strict=True):
-        np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
-
-
 @pytest.mark.parametrize("transform", [jax.jit, jax.grad, lambda f: lambda x: jax.vmap(f)(x[None])])
 def test_tracing_a_static_field_is_an_error_that_names_it(transform):
     with pytest.raises(jf.ParameterError, match=r"SMRF\(window=.*cannot be traced"):

@@ -37,11 +37,6 @@ def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index(rng):
     assert np.isinf(lowest[7])
 
 
-def test_block_counts_equal_bincount(rng):
-    index, counted = rng.integers(0, 30, 400).astype(np.int32), rng.random(400) < 0.7
-    np.testing.assert_array_equal(block_counts(index, counted, 30), np.bincount(index[counted], minlength=30))
-
-
 def test_small_grids_have_two_shapes_and_padding_wastes_little_on_large_ones():
     assert {padded_shape((n, m)) for n in range(1, 513, 7) for m in range(1, 513, 7)} == {(256, 256), (512, 512)}
     assert padded_shape((100, 50), least=(1, 300)) == (512, 512)
@@ -65,13 +60,6 @@ CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 10.0, 2.0]])
 Z = np.array([[3.0, 0.5, -2.0], [1.0, 5.0, 4.25]])
 OPERATIONS = {
     "cone_erosion": (cones.cone_erosion, {"z": Z, "slope": 0.5, "radius": 2.0, "reach": 2}),
-    "cone_limits": (
-        cones.cone_limits,
-        {
-            "xy": POINTS, "lowest": Z, "place": np.zeros((2, 3, 2)), "frame": np.array([0.0, 0.0, 1.0]),
-            "extent": np.array([2, 3]), "limits": np.array([0.1, 0.2, 3.0, 2.0]), "reach": 2,
-        },
-    ),
     "cell_index": (cell_index, {"xy": POINTS, "corner": np.zeros(2), "cell": 1.0, "extent": np.array([2, 3]), "columns": 3}),
     "block_minima": (block_minima, {"index": np.array([0, 2, 2]), "z": POINTS[:, 2], "cells": 3}),
     "block_counts": (block_counts, {"index": np.array([0, 2, 2]), "counted": np.array([True, True, False]), "cells": 3}),
@@ -196,8 +184,6 @@ def test_no_points_are_no_points():
     assert judged["accepted"].shape == (0,) and facets.mirrored(none, np.zeros((0, 3, 3)), True).shape == (0, 3)
     low, there = surface.lowest_below(none, nowhere == 0, [0.0, 0.0, 1.0], [2, 3], (2, 3), True)
     assert not np.asarray(there).any() and not np.asarray(low).any()
-    limits = cones.cone_limits(none, Z, np.zeros((2, 3, 2)), [0.0, 0.0, 1.0], [2, 3], [0.1, 0.2, 3.0, 2.0], 2)
-    assert limits.shape == (0,)
 
 
 def test_points_and_facets_with_nan_pass_no_test():

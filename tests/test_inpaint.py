@@ -106,16 +106,6 @@ def test_a_membrane_over_a_corridor_takes_no_more_memory_than_its_cells(shape):
     assert memory.temp_size_in_bytes < 250 * ramp.size
 
 
-@pytest.mark.slow
-def test_many_membranes_at_once_equal_single_ones(rng):
-    z = rng.random((40, 50), np.float32) * 5
-    inside = np.ones((40, 50), bool)
-    known = rng.random((4, 40, 50)) < np.array([0.1, 0.3, 0.6, 1.0])[:, None, None]
-    whole = jax.vmap(lambda cells: fill_membrane(z, cells, inside, 1e-6))(known)
-    for i in range(4):
-        np.testing.assert_allclose(whole.z[i], fill_membrane(z, known[i], inside, 1e-6).z, atol=1e-4)
-
-
 def test_several_grids_are_filled_where_ranks_must_be_equal(rng):
     """As the soft labels of SMRF do, and their gradient by elevations."""
     known = rng.random((9, 12)) < 0.5

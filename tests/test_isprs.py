@@ -13,6 +13,7 @@ from jaxfilter.core.points import canonical_points
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments.isprs import spaces
+from experiments.papers.oracle import tuned
 from experiments.report import read_csv
 
 pytestmark = pytest.mark.data
@@ -116,5 +117,5 @@ def test_smrf_single_set(samples):
 
 @pytest.mark.slow
 def test_smrf_with_the_authors_optima(samples):
-    table = scores(samples, lambda s: jf.SMRF.preset(f"samp{s}"))
+    table = scores(samples, lambda s: tuned("smrf", f"samp{s}"))
     assert mean(table, "total") <= 3.6 and mean(table, "kappa") >= 88.5

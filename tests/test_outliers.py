@@ -15,7 +15,7 @@ from jaxfilter.engines import neighbours
 from jaxfilter.engines.grid.depressions import Basins
 from jaxfilter.engines.grid.sparse import CellSet
 from jaxfilter.scenes import Kind
-from jaxfilter.steps.outliers import isolated_low, knn_outliers, low_clusters, radius_outliers
+from jaxfilter.steps.outliers import knn_outliers, low_clusters, radius_outliers
 from jaxfilter.steps.trend import low_trend
 
 
@@ -85,15 +85,6 @@ def test_knn_outliers_are_the_same_in_any_order_where_points_are_equally_near(rn
     out = knn_outliers(xyz, 7)
     assert out.any()
     np.testing.assert_array_equal(knn_outliers(xyz[order], 7), out[order])
-
-
-def test_isolated_low_finds_one_point_and_not_two(rng):
-    xyz = points_of(np.column_stack([rng.uniform(0, 30, (900, 2)), rng.normal(5, 0.05, 900)])).xyz
-    middle = np.argsort(np.hypot(*(xyz[:, :2] - 15).T))
-    xyz[middle[0], 2] = -9
-    assert np.flatnonzero(isolated_low(xyz, 6, 2.0)).tolist() == [middle[0]]
-    xyz[middle[1], 2] = -9
-    assert not isolated_low(xyz, 6, 2.0).any()
 
 
 def flooded(z, depth, max_cells):

@@ -28,7 +28,7 @@ PARTS = {"lazrs", "distributed"}
 """What comes with an extra of another package: laspy[lazrs], dask[distributed]."""
 BY_FSSPEC = {"s3fs", "aiohttp"}
 """What fsspec imports for s3:// and https://."""
-PUBLISHED = ("natural", "cluster", "fit", "remote")
+PUBLISHED = ("natural", "cluster", "remote")
 
 
 def bounds(requirements):
@@ -94,7 +94,7 @@ def test_dependencies_and_extras_are_used():
     assert set(re.findall(r"\w+", extras["all"][0])) - {"jaxfilter"} == set(PUBLISHED)
     installed = {re.match(r"\w+", text)[0] for text in PROJECT["dependencies"]}
     rest = imported() - set(sys.stdlib_module_names) - installed - {"jaxfilter", "lazrs", "mpl_toolkits", "shapely"}
-    assert rest == {"startinpy", "distributed", "optax"}, "GeoTIFF, GeoPackage and pictures come with the plain install"
+    assert rest == {"startinpy", "distributed"}, "GeoTIFF, GeoPackage and pictures come with the plain install"
 
 
 PLANE = jf.PointCloud.from_arrays(np.eye(3))

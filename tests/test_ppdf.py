@@ -143,28 +143,6 @@ def test_few_references_give_a_level_plane_through_the_nearest():
     assert np.isnan([distance[1], height[1]]).all()
 
 
-def test_a_cell_is_divided_where_the_ground_lies_below_its_plane(rng):
-    """A trench of 2.5 m beside a plain: the plain's plane is not reliable there."""
-    xy = rng.uniform(0, 40, (16000, 2)).round(2)
-    z = np.where((xy[:, 0] > 32.5) & (xy[:, 0] < 35), -3.0, 0.0) + rng.normal(0, 0.02, len(xy))
-    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
-    everything = np.ones(len(points), bool)
-    options = {"cell": 10.0, "min_points": 20, "inlier_distance": 0.3, "max_slope": 75.0}
-    found = progressive_planes(points, everything, DRAWS, PlaneSearch(division_distance=1.0, **options))
-    whole = progressive_planes(points, everything, DRAWS, PlaneSearch(division_distance=5.0, **options))
-    assert whole.divided == 0 and whole.accepted == 16
-    assert found.divided >= 4 and found.accepted > 16
-    trench = (points.xyz[:, 0] > 32.6) & (points.xyz[:, 0] < 34.9)
-    assert (np.abs(found.distance[trench]) < 0.3).mean() > 0.9
-    assert (np.abs(whole.distance[trench]) > 2).all()
-    assert (np.abs(found.distance[points.xyz[:, 0] < 29]) < 0.2).all()
-    assert (
-        set(whole.size) == {10.0}
-        and (found.size[trench] < 10).all()
-        and (found.size[points.xyz[:, 0] < 29] == 10).all()
-    )
-
-
 @pytest.mark.parametrize(("share", "divided"), [(0.99, 0), (1.0, 1)])
 def test_a_cell_is_divided_into_four_from_the_division_distance_on(share, divided):
     """One point of a level cell of 8 m lies ``share`` of that distance below the others."""

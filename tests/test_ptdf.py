@@ -42,11 +42,6 @@ def test_a_hollow_is_lost_where_it_is_deeper_than_the_limit(hillside, limit, rea
     np.testing.assert_allclose(result.margin[low], -result.height[low] - limit, atol=1e-4)
 
 
-def test_ptd_accepts_points_on_both_sides(hillside):
-    xyz, deep, _ = hillside
-    assert jf.PTD(max_distance=1.5, **SEEDS)(xyz).ground[deep].mean() > 0.9
-
-
 def test_presets_hold_the_values_of_table_2():
     with open(PUBLISHED / "cai2023_table2.csv", newline="") as file:
         printed = {row["parameter"]: float(row["value"]) for row in csv.DictReader(file) if row["method"] == "PTDF"}

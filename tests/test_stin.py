@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from triangulation import Mesh
 
 import jaxfilter as jf
+from experiments.papers.oracle import tuned
 from jaxfilter.core.cloud import Whole
 from jaxfilter.core.filter import of_scene
 from jaxfilter.core.points import canonical_points
@@ -202,9 +203,9 @@ def test_what_contradicts_the_method_is_an_error():
 
 
 @pytest.mark.parametrize("name", TABLE_2)
-def test_presets_have_the_values_of_table_2(name):
-    for method in (jf.STIN, jf.ATIN):
-        f = method.preset(name)
+def test_the_table_of_tuned_parameters_has_the_values_of_table_2(name):
+    for method in ("stin", "atin"):
+        f = tuned(method, name)
         assert (f.seed_cell, f.max_terrain_slope, f.max_distance, f.max_angle) == TABLE_2[name]
 
 
@@ -212,5 +213,5 @@ def test_total_error_of_the_five_samples(sample):
     totals = []
     for name in TABLE_2:
         cloud = sample(int(name.removeprefix("samp")))
-        totals.append(jf.evaluate(jf.STIN.preset(name)(cloud), cloud.reference).total)
+        totals.append(jf.evaluate(tuned("stin", name)(cloud), cloud.reference).total)
     assert np.mean(totals) <= 8.57  # Table 3, from its counts

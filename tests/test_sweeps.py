@@ -22,7 +22,6 @@ from jaxfilter.engines.tin import ground as ground_tin
 from jaxfilter.engines.tin.facets import Rule, Verdict
 from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.engines.tin.growth import Vertices
-from jaxfilter.sweeps.ranges import search_ranges
 
 
 @pytest.fixture(scope="module")
@@ -148,26 +147,6 @@ def test_a_cell_whose_drop_is_the_slope_of_a_set_has_the_label_of_the_single_run
     check_equal(
         [smrf.replace(slope=float(slope)) for slope in (0.1, np.nextafter(tie, np.float32(0)), tie, 0.3)], cloud
     )
-
-
-@pytest.mark.parametrize(
-    "filter_",
-    [
-        jf.SPF(window=30.0),
-        pytest.param(jf.OST(window=15.0), marks=pytest.mark.slow),
-        pytest.param(jf.AGPTD(seed_cell=30.0), marks=pytest.mark.slow),
-    ],
-    ids=lambda f: type(f).__name__,
-)
-def test_random_sets_whose_seeds_differ_equal_single_runs(filter_, hills, cloud):
-    unit = np.random.default_rng(1).random((8, len(search_ranges(filter_))))
-    values = [{n: r.at(u) for (n, r), u in zip(search_ranges(filter_).items(), row, strict=True)} for row in unit]
-    data = jf.sweep(filter_, cloud, {name: [one[name] for one in values] for name in values[0]}, design="list")
-    for number, one in enumerate(values):
-        result = filter_.replace(**one)(cloud)
-        assert int(data.ground[number]) == result.ground.sum()
-        assert float(data.total[number]) == pytest.approx(jf.evaluate(result, cloud).total, abs=1e-9)
-    check_equal([filter_.replace(**one) for one in values], hills)
 
 
 @pytest.mark.parametrize(
@@ -320,14 +299,6 @@ def test_several_clouds_and_clouds_without_reference(cloud, hills):
     assert data.votes_bare.dims == ("point_bare",) and len(data.votes_town) == len(cloud)
 
 
-def test_static_axes_are_grouped(cloud):
-    data = jf.sweep(jf.SMRF(), cloud, {"cell": [1.0, 2.0], "threshold": [0.3, 0.5, 0.9]})
-    assert data.attrs["groups"] == 2 and data.total.shape == (2, 3)
-    for c, t in itertools.product([1.0, 2.0], [0.3, 0.9]):
-        expected = jf.evaluate(jf.SMRF(cell=c, threshold=t)(cloud), cloud).total
-        assert float(data.total.sel(cell=c, threshold=t)) == pytest.approx(expected)
-
-
 def test_designs(cloud):
     ranges = {"slope": (0.05, 0.4), "threshold": (0.2, 1.0), "window": [10.0, 18.0]}
     for design in ("random", "sobol"):
@@ -335,7 +306,7 @@ def test_designs(cloud):
         again = jf.sweep(jf.SMRF(), cloud, ranges, design=design, size=12, seed=4)
         assert data.identical(again) and data.total.dims == ("set",) and len(data["set"]) == 12
         assert ((data.slope >= 0.05) & (data.slope <= 0.4)).all() and len(np.unique(data.slope)) == 12
-        assert set(data.window.values) == {10.0, 18.0}
+        assert set(data.window.values) == {10.0, 18.0} and data.attrs["groups"] == 2
         one = data.isel(set=7)
         filter_ = jf.SMRF(slope=float(one.slope), threshold=float(one.threshold), window=float(one.window))
         assert float(one.total) == pytest.approx(jf.evaluate(filter_(cloud), cloud).total)
@@ -601,18 +572,6 @@ def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills
 def test_a_batch_in_whose_cells_a_threshold_takes_part_is_refused(user, hills):
     with pytest.raises(jf.ParameterError, match="the cells of Mine depend on 'threshold': declare it as static"):
         jf.batch([hills], user)
-
-
-@pytest.mark.parametrize("user", ["a rule, swapped"], indirect=True)
-def test_a_calibration_of_a_users_filter_chooses_by_its_own_rule(user, hills):
-    labels = np.where(np.arange(len(hills)) % 10 == 0, hills.reference, -1)
-    study = jf.Study(user, hills, labels)
-    sets = product(user, **axes_of(user))
-    scores = study.evaluate([{"max_angle": one.max_angle, "max_distance": one.max_distance} for one in sets])
-    known = labels >= 0
-    alone = [100 * (one(hills).ground != hills.reference)[known].mean() for one in sets]
-    np.testing.assert_allclose(scores, alone, rtol=1e-12)
-    assert len(set(alone)) > 1
 
 
 @pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])

@@ -20,7 +20,6 @@ import pytest
 from las_files import las_of
 
 import jaxfilter as jf
-from experiments.faults.surveys import RUNS
 from jaxfilter.plots import footprints
 from jaxfilter.surveys import dask, tiles
 from jaxfilter.surveys.dask import Cluster
@@ -320,24 +319,74 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     assert damaged <= {number for name, number in again.calls if name == "do_tile"}
 
 
-@pytest.fixture(scope="module")
-def one_tile(files, tmp_path_factory):
-    """The folder of a run over one file."""
-    out = tmp_path_factory.mktemp("one") / "out"
-    assert run(files / "00.laz", out, tile=100.0).complete
-    return out
+PLACES = {
+    "run.json": f"{KEPT}/run.json", "output": "*.laz", "report": "jaxfilter-run.*", "tiles": f"{KEPT}/tiles/**/*.tile",
+    "index": f"{KEPT}/index/**/*.npz", "folder": KEPT,
+}  # fmt: skip
+"""What lies in the folder of a run; the last three only until it is complete."""
+REFUSED = ("empty", "cut", "something else", "noise", "zeros", "another number", "other JSON")
+"""Damages of run.json that nothing makes up for."""
+WAYS = [("run.json", how) for how in REFUSED]
+WAYS += [
+    pytest.param(what, how, marks=pytest.mark.slow)
+    for what, ways in {
+        "run.json": ("missing", "one bit", "longer", "a folder"),
+        "output": ("missing", "empty", "cut", "something else", "noise", "zeros", "one bit", "longer"),
+        "tiles": ("missing", "empty", "cut", "something else", "noise", "zeros", "one bit", "longer"),
+        "index": ("missing", "empty", "cut", "something else", "noise"),
+        "report": ("missing", "empty", "cut", "something else"),
+        "folder": ("missing",),
+    }.items()
+    for how in ways
+]
 
 
-@pytest.mark.parametrize("kind", RUNS)
-def test_what_decides_on_a_run_is_not_believed_if_it_is_damaged(files, one_tile, tmp_path, kind):
+def damage(path, how, rng):
+    """Damage a file, whose time stays."""
+    if path.is_dir():
+        return shutil.rmtree(path)
+    status, data = path.stat(), path.read_bytes()
+    if how in ("missing", "a folder"):
+        path.unlink()
+        return path.mkdir() if how == "a folder" else None
+    third = len(data) // 3
+    at = int(rng.integers(1, len(data) - third))
+    changed = {
+        "empty": b"",
+        "cut": data[:at],
+        "longer": data + rng.bytes(5000),
+        "one bit": data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :],
+        "noise": data[:at] + rng.bytes(third) + data[at + third :],
+        "zeros": data[:at] + bytes(third) + data[at + third :],
+        "something else": b"this is something else\n" * 500,
+        "another number": re.sub(rb'"halo": [\d.]+', b'"halo": 16.0', data),
+        "other JSON": b'{"name": "something else"}',
+    }
+    path.write_bytes(changed[how])
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.mark.parametrize("what, how", WAYS)
+def test_damage_of_what_a_run_keeps_or_wrote_leads_to_no_wrong_output(files, done, tmp_path, what, how):
     out, executor = tmp_path / "out", Here()
-    shutil.copytree(one_tile, out)
-    RUNS[kind](out / KEPT / "run.json", np.random.default_rng(0))
-    with pytest.raises(jf.InputError, match=r"run\.json: is damaged.* pass overwrite=True to begin"):
-        run(files / "00.laz", out, executor, tile=100.0, resume=True)
-    assert executor.calls == [] and contents(out) == contents(one_tile)
-    report = run(files / "00.laz", out, tile=100.0, overwrite=True)
-    assert report.complete and contents(out) == contents(one_tile)
+    if what in ("tiles", "index", "folder"):
+        with pytest.raises(KeyboardInterrupt):
+            run(files, out, Here(3, stop_after=8))
+    else:
+        shutil.copytree(done[0], out)
+    path = sorted(out.glob(PLACES[what]))[-1]
+    damage(path, how, np.random.default_rng(0))
+    before = contents(out)
+    try:
+        report = run(files, out, executor, resume=True)
+    except jf.JaxfilterError as error:
+        assert what == "run.json" and str(out) in str(error) and "pass overwrite=True to begin" in str(error)
+        assert "run.json: is damaged" in str(error) or how not in REFUSED
+        assert executor.calls == [] and contents(out) == before
+    else:
+        assert what != "run.json" and report.complete and contents(out) == contents(done[0])
+        assert bool(report.again) == (what == "output")
+    assert run(files, out, overwrite=True).complete and contents(out) == contents(done[0])
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
 
@@ -703,7 +752,7 @@ def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
         model(survey, target, PMF, executor=Here(), resume=True, interpolation=jf.Interpolation(fill=True), **how)
     facts = tmp_path / ".dtm.tif.jaxfilter-run" / "run.json"
     sound = facts.read_bytes()
-    RUNS["zeros"](facts, np.random.default_rng(0))
+    damage(facts, "zeros", np.random.default_rng(0))
     with pytest.raises(jf.InputError, match=r"run\.json: is damaged.*pass overwrite=True"):
         model(survey, target, PMF, executor=Here(), resume=True, **how)
     facts.write_bytes(sound)

@@ -218,30 +218,6 @@ def test_large_networks_have_the_triangulation_of_scipy_or_of_the_reference(pool
             assert np.array_equal(tin.facets()[0], triangulation(tin.xy))
 
 
-@pytest.mark.parametrize(
-    "kinds", [(random, grid, lines, of_size), (random,), (of_size,)], ids=["sheets", "random", "of_size"]
-)
-@pytest.mark.parametrize("chunk", [65536, 300])
-def test_threads_and_parts_change_nothing(rng, monkeypatch, chunk, kinds):
-    parts = [nodes(rng, kind(rng, 12000 // len(kinds))) for kind in kinds]
-    parts = [part[np.argsort(morton(part - part.min(axis=0)))] for part in parts]
-    sheet = np.repeat(np.arange(len(parts)), [len(part) for part in parts]).astype(np.int32)
-    xyz, xy = np.concatenate(parts), tin_module.lattice(np.concatenate(parts))
-    every = np.concatenate([single(xy, np.flatnonzero(sheet == n)) for n in range(len(parts))])
-    found = []
-    for threads in (1, 4):
-        monkeypatch.setattr(tin_module, "CHUNK", 65536 if threads == 1 else chunk)
-        monkeypatch.setattr(tin_module, "_SHARE", min(4096, tin_module.CHUNK))
-        with ThreadPoolExecutor(threads) as executor:
-            tin = Tin(xyz, sheet, every[::2], executor, threads)
-            tin.now += 1
-            tin.insert(every[1::2])
-            tin.remove(inner(tin)[::2])
-            tin.locate(np.flatnonzero(~tin.vertex))
-            found.append([*tin.facets(), tin.vertex, tin.corners(tin.where[np.flatnonzero(~tin.vertex)])])
-    assert all(np.array_equal(one, two) for one, two in zip(*found, strict=True))
-
-
 @settings(max_examples=30, deadline=None, derandomize=True, database=None)
 @given(seed=st.integers(0, 2**32 - 1), kinds=st.tuples(*[st.sampled_from(KINDS)] * 3), size=st.integers(15, 40))
 def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
@@ -283,53 +259,6 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             others = np.flatnonzero(~network.vertex)
             corners = together.corners(together.where[others + first[number]])
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
-
-
-@pytest.mark.parametrize("chunk", [65536, 500])
-def test_nodes_are_located_as_by_an_exact_walk_in_the_reference(pool, rng, monkeypatch, chunk):
-    monkeypatch.setattr(tin_module, "CHUNK", chunk)
-    xyz = nodes(rng, rng.integers(0, 40, (3000, 2)) * 128)
-    xyz = xyz[np.argsort(morton(xyz))]
-    every = single(tin_module.lattice(xyz), np.arange(len(xyz)))
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), every[::5], pool)
-    for _ in range(2):
-        vertices, rest = np.flatnonzero(tin.vertex), np.flatnonzero(~tin.vertex)
-        mesh = Mesh(tin.xy[vertices])
-        found, expected = np.sort(tin.corners(tin.where[rest]), axis=1), mesh.find(tin.xy[rest])
-        outside = expected < 0
-        assert np.array_equal(outside, tin.triangles[tin.where[rest]].min(axis=1) < 0) and 0 < outside.sum() < 300
-        assert_behind(tin, tin.corners(tin.where[rest[outside]]), tin.xy[rest[outside]])
-        assert np.array_equal(found[~outside], np.sort(vertices[mesh.triangles[expected[~outside]]], axis=1))
-        at = {tuple(tin.xy[v]): v for v in vertices}
-        assert tin.twins(rest).tolist() == [at.get(tuple(p), -1) for p in tin.xy[rest]]
-        tin.now += 1
-        tin.insert(single(tin.xy, rest[tin.twins(rest) < 0])[::2])
-        tin.locate(np.flatnonzero(~tin.vertex))
-
-
-def test_walks_end_in_the_triangle_or_behind_an_edge_in_sight(pool, rng):
-    xyz = nodes(rng, random(rng, 3000), twins=False)
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    at = rng.uniform(-40, 168, (4000, 2))
-    found = tin.walk(at, rng.choice(np.flatnonzero(tin.triangles.min(axis=1) >= 0), len(at)))
-    at = np.rint(at / QUANTUM).astype(int)  # positions count to a quantum
-    mesh = Mesh(tin.xy)
-    expected = mesh.find(at)
-    inside = expected >= 0
-    assert ((found >= 0) == inside).all() and 0.2 < inside.mean() < 0.8
-    corners = np.sort(tin.triangles[found[inside]], axis=1)
-    assert np.array_equal(corners, np.sort(mesh.triangles[expected[inside]], axis=1))
-    assert_behind(tin, tin.corners(-1 - found[~inside]), at[~inside])
-
-
-def assert_behind(tin, corners, at):
-    """Each of the triangles, by their corners, has an edge on the hull that is in sight from a position, or holds it."""
-    triangles, neighbours = tin.facets()
-    row, k = np.nonzero(neighbours < 0)
-    rim = set(zip(triangles[row, (k + 1) % 3].tolist(), triangles[row, (k + 2) % 3].tolist(), strict=True))
-    for t, p in zip(corners.tolist(), at.tolist(), strict=True):
-        edges = [(t[k - 2], t[k - 1]) for k in range(3) if (t[k - 2], t[k - 1]) in rim]
-        assert any(turn(tin.xy[a].tolist(), tin.xy[b].tolist(), p) <= 0 for a, b in edges)
 
 
 def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):

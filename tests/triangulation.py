@@ -48,7 +48,7 @@ def triangulation(xy: np.ndarray) -> np.ndarray:
     triangles = _scipy(xy)
     if triangles is None:
         triangles = np.array(_sweep(p))
-    triangles = _flipped(p, triangles, _doubtful(xy, triangles))
+    triangles = _flipped(p, triangles)
     first = (triangles.argmin(axis=1)[:, None] + np.arange(3)) % 3
     triangles = np.take_along_axis(triangles, first, axis=1)
     return triangles[np.lexsort(triangles.T[::-1])]
@@ -89,29 +89,10 @@ def _sweep(p: list[Position]) -> list[tuple[int, int, int]]:
     return out
 
 
-def _doubtful(xy: np.ndarray, triangles: np.ndarray) -> list[tuple[int, int]]:
-    """Edges, but for those that are right by far more than floating point can be wrong."""
-    key = triangles[:, [1, 2, 0]] * len(xy) + triangles[:, [2, 0, 1]]
-    back = triangles[:, [2, 0, 1]] * len(xy) + triangles[:, [1, 2, 0]]
-    order = np.argsort(key, axis=None)
-    place = np.searchsorted(key.ravel()[order], back.ravel()).clip(max=key.size - 1)
-    met = (key.ravel()[order[place]] == back.ravel()) & (key.ravel() < back.ravel())
-    other = triangles.ravel()[order[place]][met]
-    row, k = np.divmod(np.flatnonzero(met), 3)
-    corner = triangles[row[:, None], (k[:, None] + np.arange(3)) % 3]
-    a, b, c = (xy[corner] - xy[other][:, None]).astype(np.float64).transpose(1, 2, 0)
-    squares = [v[0] ** 2 + v[1] ** 2 for v in (a, b, c)]
-    products = [u[0] * v[1] for u, v in ((b, c), (c, b), (c, a), (a, c), (a, b), (b, a))]
-    value = sum(s * (products[2 * i] - products[2 * i + 1]) for i, s in enumerate(squares))
-    size = sum(s * (abs(products[2 * i]) + abs(products[2 * i + 1])) for i, s in enumerate(squares))
-    return [(i, j) for i, j in corner[value > -1e-12 * size][:, 1:].tolist()]
-
-
-def _flipped(p: list[Position], triangles: np.ndarray, todo: list[tuple[int, int]]) -> np.ndarray:
-    """The triangles after flips of the edges, and of those around them, until each is right."""
-    if not todo:
-        return triangles
+def _flipped(p: list[Position], triangles: np.ndarray) -> np.ndarray:
+    """The triangles after flips of edges until each is right."""
     apex = {edge: t[k] for t in triangles.tolist() for k, edge in enumerate(((t[1], t[2]), (t[2], t[0]), (t[0], t[1])))}
+    todo = [(a, b) for a, b in apex if a < b]
     while todo:
         a, b = todo.pop()
         if (a, b) not in apex or (b, a) not in apex:

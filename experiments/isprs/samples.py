@@ -23,12 +23,6 @@ def terrain_classes() -> dict[str, str]:
     return {row["cloud"]: row["terrain"] for row in published("li2021_table1")}
 
 
-def oracle_parameters() -> dict[str, dict[str, float]]:
-    """SMRF's parameters per sample, chosen by Pingel et al. (2013) for the best kappa against the reference labels."""
-    names = ("slope", "window", "threshold", "scaling")
-    return {row["sample"]: {name: float(row[name]) for name in names} for row in published("pingel2013")}
-
-
 def data_folder(given: Path | None) -> Path:
     """The folder with the data, as of ``jf.datasets.home``. Raises: SystemExit saying how to get the data."""
     try:

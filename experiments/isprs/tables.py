@@ -42,7 +42,7 @@ SHARED = {
     "ptdf": "borders that follow the ground, and 0.1 m downward: the errors here were known",
     "spf": "`outlier_fate`, `radius` and how points are added: the errors here were known",
     "ppdf": "the window is SMRF's, which was chosen on these samples",
-    "msf": "`distance`: the errors of both readings here were known",
+    "msf": "distances from cell to cell: the errors of both readings here were known",
     "pmf": "`element`: the errors of disks and squares here were known",
     "csf": "the equation of gravity in place of the program's: the errors here were known",
 }

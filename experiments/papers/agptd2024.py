@@ -18,7 +18,7 @@ import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.papers import agptd2024_figures as figures
 from experiments.papers import paper
-from experiments.papers.oracle import without_labelled_objects
+from experiments.papers.oracle import tuned, without_labelled_objects
 from experiments.report import Row, markdown, with_averages, write_csv
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines.neighbours import nearest, tree_of
@@ -30,10 +30,10 @@ SOURCE = (
     "doi:10.3390/rs16203846"
 )
 RUNS = {
-    "research": "AGPTD, removal by the labels: preset of the sample, the share of the objects that Table 3 says was removed is "
-                "taken away by the reference labels",
+    "research": "AGPTD, removal by the labels: `oracle.csv` for the sample, the share of the objects that Table 3 says was "
+                "removed is taken away by the reference labels",
     "research_three": "the same with three grid levels",
-    "as_printed": "AGPTD, preset of the sample as it is: angle and distance of Table 1, cells smaller than buildings",
+    "as_printed": "AGPTD, `oracle.csv` for the sample, as it is: angle and distance of Table 1, cells smaller than buildings",
     "as_printed_three": "the same with three grid levels",
     "table1": "AGPTD, seed cells of 60 m, angle and distance of Table 1",
     "table1_three": "the same with three grid levels",
@@ -108,13 +108,13 @@ def removed_share(sample: str) -> float:
 
 def filters(sample: str) -> dict[str, jf.Filter]:
     """The filter of every run on a sample; what it is given: :func:`seen`."""
-    preset = jf.AGPTD.preset(sample)
-    limits = {"max_angle": preset.max_angle, "max_distance": preset.max_distance}
+    own = tuned("agptd", sample)
+    limits = {"max_angle": own.max_angle, "max_distance": own.max_distance}
     out: dict[str, jf.Filter] = {
-        "research": preset,
-        "research_three": preset.replace(levels=3),
-        "as_printed": preset,
-        "as_printed_three": preset.replace(levels=3),
+        "research": own,
+        "research_three": own.replace(levels=3),
+        "as_printed": own,
+        "as_printed_three": own.replace(levels=3),
         "table1": jf.AGPTD(**limits),
         "table1_three": jf.AGPTD(levels=3, **limits),
         "table1_steepest_cell": jf.AGPTD(terrain_angle="steepest_cell", **limits),
@@ -222,7 +222,7 @@ def parameters(report: paper.Report, clouds: dict[str, jf.PointCloud]) -> None:
         points = canonical_points(clouds[name])
         ground = np.zeros(len(points), bool)
         ground[points.member[clouds[name].reference[points.index]]] = True
-        used = jf.AGPTD.preset(name).seed_cell
+        used = tuned("agptd", name).seed_cell
 
         def occupied(cell: float, barred: np.ndarray, points: Any = points) -> int:
             return len(lowest_per_adaptive_cell(points, cell, barred, levels=1, remainder="own_cells").rows)
@@ -589,11 +589,11 @@ def pictures(report: paper.Report, clouds: dict[str, jf.PointCloud], by_run: dic
     table4 = {row["sample"]: row for row in printed("table4")}
     for name in [name for name in ("samp52", "samp53") if name in clouds]:
         cloud, runs = clouds[name], filters(name)
-        preset = runs["as_printed"]
-        cell = preset.seed_cell
+        own = runs["as_printed"]
+        cell = own.seed_cell
         seeds = [
-            {f"regular grid, {cell:g} m (PTD)": preset.replace(levels=1)(cloud), f"two levels, {cell:g} m (AGPTD)": preset(cloud),
-             "three levels": preset.replace(levels=3)(cloud)},
+            {f"regular grid, {cell:g} m (PTD)": own.replace(levels=1)(cloud), f"two levels, {cell:g} m (AGPTD)": own(cloud),
+             "three levels": own.replace(levels=3)(cloud)},
             {"regular grid, 60 m (PTD)": jf.PTD()(cloud), "two levels, 60 m (AGPTD)": jf.AGPTD()(cloud),
              "three levels": jf.AGPTD(levels=3)(cloud)},
         ]  # fmt: skip

@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.papers import paper
+from experiments.papers.oracle import tuned
 
 SOURCE = """T. J. Pingel, K. C. Clarke, W. A. McBride (2013): An improved simple morphological filter for the terrain
 classification of airborne LIDAR data. ISPRS J. Photogramm. Remote Sens. 77, 21-30. doi:10.1016/j.isprsjprs.2012.12.002.
@@ -28,7 +29,7 @@ def main(given: list[str] | None = None) -> None:
     fixed, best = [], []
     for name, cloud in paper.clouds(options):
         fixed.append(paper.score_row(name, "smrf", jf.SMRF.preset("paper"), cloud, repeats)[0])
-        best.append(paper.score_row(name, "smrf", jf.SMRF.preset(name), cloud, repeats)[0])
+        best.append(paper.score_row(name, "smrf", tuned("smrf", name), cloud, repeats)[0])
     report.text("Errors and kappa in percent over all points; s: seconds of a warm call without I/O.")
     values = (*paper.SCORES, "seconds")
     report.beside(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import statistics
@@ -21,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import figures, samples
 from experiments.papers import paper
+from experiments.papers.oracle import tuned
 from experiments.report import Row, write_csv
 from jaxfilter import plots
 from jaxfilter.core.grid import Grid
@@ -33,14 +35,14 @@ SOURCE = (
 )
 SAMPLES = ("11", "12", "23", "52", "71")
 METHODS = {
-    "stin": "STIN, preset of the sample: Table 2, thresholds lowered with each cell size, no mirroring",
+    "stin": "STIN, `oracle.csv` for the sample: Table 2, thresholds lowered with each cell size, no mirroring",
     "stin_constant": "the same with the thresholds of Table 2 at all cell sizes",
     "stin_all_seeds": "constant thresholds, and no point barred from the seeds: ATIN but for the vertices",
     "stin_mirror": "constant thresholds, and mirror images as a second chance, as printed",
     "stin_fixed": "STIN with its default, one set for all samples",
     "atin": "ATIN, Table 2 as upper limits of thresholds recalculated in each round, no mirroring",
     "atin_constant": "ATIN with the constant thresholds of Table 2, no mirroring: PTD with four corner points",
-    "iptd": "IPTD, preset of the sample: Table 2",
+    "iptd": "IPTD, `oracle.csv` for the sample: Table 2",
     "smrf": "SMRF, cells of 1 m, Table 2",
 }
 COMPARED = ("atin", "smrf", "iptd", "stin")
@@ -80,14 +82,14 @@ def filters(sample: str) -> dict[str, jf.Filter]:
     table = {row["method"]: row for row in samples.published("uray2024_table2") if row["sample"] == sample}
     smrf = table["smrf"]
     return {
-        "stin": jf.STIN.preset(sample),
-        "stin_constant": jf.STIN.preset(sample, thresholds="constant"),
-        "stin_all_seeds": jf.STIN.preset(sample, thresholds="constant", outlier_surface="off"),
-        "stin_mirror": jf.STIN.preset(sample, thresholds="constant", mirror="nearest"),
+        "stin": tuned("stin", sample),
+        "stin_constant": tuned("stin", sample, thresholds="constant"),
+        "stin_all_seeds": tuned("stin", sample, thresholds="constant", outlier_surface="off"),
+        "stin_mirror": tuned("stin", sample, thresholds="constant", mirror="nearest"),
         "stin_fixed": jf.STIN(),
-        "atin": jf.ATIN.preset(sample, mirror="off"),
-        "atin_constant": jf.ATIN.preset(sample, mirror="off", thresholds="constant"),
-        "iptd": jf.FILTERS["iptd"].preset(sample),
+        "atin": tuned("atin", sample, mirror="off"),
+        "atin_constant": tuned("atin", sample, mirror="off", thresholds="constant"),
+        "iptd": tuned("iptd", sample),
         "smrf": jf.SMRF(slope=smrf["slope_percent"] / 100, window=float(smrf["window"]), threshold=smrf["threshold"],
                         scaling=smrf["scaling"]),
     }  # fmt: skip
@@ -362,16 +364,16 @@ def pictures(
 
 def first_test(sample: str, cloud: jf.PointCloud) -> tuple[np.ndarray, np.ndarray]:
     """f32[n] each, NaN for seeds: unsigned distance, metres, and largest angle, degrees, over the first triangulation."""
-    cell = jf.STIN.preset(sample).seed_cell
+    cell = tuned("stin", sample).seed_cell
     nothing = {"max_distance": 1e-6, "max_angle": 1e-6}  # so that the triangulation stays as it is
-    result = jf.STIN.preset(sample, thresholds="constant", final_cell=cell, max_rounds=1, **nothing)(cloud)
+    result = tuned("stin", sample, thresholds="constant", final_cell=cell, max_rounds=1, **nothing)(cloud)
     distance = np.abs(result.height) * np.cos(np.radians(result.slope))
     return np.where(np.isnan(result.angle), np.nan, distance), np.abs(result.angle)
 
 
 def limit_row(sample: str, distance: np.ndarray, angle: np.ndarray, truth: np.ndarray) -> Row:
     """What the limits of Table 2 do in the first test, and what the best pair of limits would do."""
-    given = jf.STIN.preset(sample)
+    given = tuned("stin", sample)
     seen = ~np.isnan(angle)
     distance, angle, truth = distance[seen], angle[seen], truth[seen]
     near = (distance <= given.max_distance) & (angle <= given.max_angle)
@@ -396,7 +398,7 @@ def histograms(clouds: Mapping[str, jf.PointCloud], tested: Mapping[str, tuple[n
     figure = Figure(figsize=(2.2 * len(clouds) + 0.4, 4.0), layout="constrained")
     axes = figure.subplots(2, len(clouds), squeeze=False)
     for column, (name, cloud) in zip(axes.T, clouds.items(), strict=True):
-        given = jf.STIN.preset(name)
+        given = tuned("stin", name)
         limits = (given.max_distance, 12.0, "distance (m)"), (given.max_angle, 90.0, "angle (degrees)")
         for ax, values, (limit, most, title) in zip(column, tested[name], limits, strict=True):
             parts = [values[cloud.reference], values[~cloud.reference]]
@@ -426,7 +428,7 @@ def lowered_limits(sample: str, cloud: jf.PointCloud) -> Figure:
             seen.append((distance, angle))
             return super().lowered(distance, angle)
 
-    given = Watched.preset(sample)
+    given = Watched(**dataclasses.asdict(tuned("stin", sample)))
     result = given(cloud)
     cells = list(dict.fromkeys(step["cell"] for step in result.trace))[1:]
     figure = Figure(figsize=(2.4 * len(seen) + 0.4, 3.9), layout="constrained")
@@ -500,7 +502,7 @@ def terrain_panels(cloud: jf.PointCloud, labels: Mapping[str, np.ndarray]) -> Fi
 
 def networks(sample: str, cloud: jf.PointCloud) -> Figure:
     """A panel per cell size with the triangulation of the lowest ground points."""
-    result = jf.STIN.preset(sample)(cloud, trace=True)
+    result = tuned("stin", sample)(cloud, trace=True)
     last = {step["cell"]: step["ground"] for step in result.trace if "cell" in step}
     surface, grid = plots.rasterise(cloud.xyz)
     aspect = surface.shape[0] / surface.shape[1]

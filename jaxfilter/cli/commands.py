@@ -118,7 +118,7 @@ def ground() -> None:
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
-    (--ignore-class). --classes usgs and --classes las14 also write noise, water, decks, and vegetation.
+    (--ignore-class). --classes usgs also writes noise, water and decks.
     """
 
 

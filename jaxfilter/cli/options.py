@@ -54,11 +54,10 @@ READING = [
 """Fields of Reading."""
 PRESET_OF_CLASSES = option(
     "--classes preset_of_classes",
-    "Classes to write: ground; usgs (1, 2, 7, 9, 17, 18 and the overlap flag); or las14 (also vegetation, 3 to 5).",
-    click.Choice(["ground", "usgs", "las14"]),
+    "Classes to write: ground; or usgs (1, 2, 7, 9, 17 and the overlap flag).",
+    click.Choice(["ground", "usgs"]),
     default="ground",
 )
-_PLANTS = "Metres from which what is nothing else is low, medium and high vegetation (3, 4, 5)."
 WRITTEN = [
     PRESET_OF_CLASSES,
     option("--ground-class", "Class for ground points.", CLASS, default=2),
@@ -68,10 +67,8 @@ WRITTEN = [
     ),
     option("--only-ground", "Mark ground and change no other class, unless an option below asks for it.", bool),
     option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
-    option("--high-noise-class high_noise", "Class for single echoes far above all around (ASPRS: 18).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),
     option("--bridge-class bridge", "Class for points of decks (ASPRS: 17), by methods that find them.", CLASS),
-    option("--vegetation-classes vegetation", _PLANTS, float, nargs=3, metavar="LOW MEDIUM HIGH"),
     option("--unjudged-class unjudged", "Class for points of class 0 that are not judged.", CLASS),
     option(
         "--overlap-flag",

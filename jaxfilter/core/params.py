@@ -16,7 +16,7 @@ import operator
 import re
 import textwrap
 from collections import UserDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any, TypeGuard, TypeVar, dataclass_transform
 
@@ -83,20 +83,6 @@ class Preset(dict[str, Any]):
     def __init__(self, note: str, /, **fields: Any) -> None:
         super().__init__(fields)
         self.note = note
-
-
-def sample_presets(note: str, names: str, rows: Mapping[int, tuple[float, ...]], /, **fields: Any) -> dict[str, Preset]:
-    """The presets "samp11", ... of a table with a row of values for each ISPRS sample.
-
-    ``names``: the fields that the columns are, separated by spaces; ``fields``: values of others, which all samples share;
-    ``note``: follows the number of the sample and its values.
-    """
-    out = {}
-    for number, row in rows.items():
-        values = dict(zip(names.split(), row, strict=True))
-        listed = ", ".join(f"{name} {value:g}" for name, value in values.items())
-        out[f"samp{number}"] = Preset(f"ISPRS sample {number}: {listed}{note}", **values, **fields)
-    return out
 
 
 class _Registry(UserDict[str, Any]):

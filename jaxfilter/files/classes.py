@@ -10,7 +10,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, ParameterError, warn
-from ..core.reading import Reading
 from ..core.result import FilterResult
 
 RESETS = ("ground", "all", "none")
@@ -32,20 +31,16 @@ class Finding(enum.IntEnum):
     OTHER = 1  # it is judged, and is none of these
     GROUND = 2
     LOW_NOISE = 3
-    HIGH_NOISE = 4
-    WATER = 5
-    DECK = 6
-    LOW_VEGETATION = 7
-    MEDIUM_VEGETATION = 8
-    HIGH_VEGETATION = 9
+    WATER = 4
+    DECK = 5
 
 
 @dataclasses.dataclass(frozen=True)
 class Classes:
     """Which classes points get when they are written.
 
-    Water, decks, high noise and vegetation are written over classes that say nothing (0 and 1), and over those that are reset;
-    ground and low noise over every class. Points that are set aside keep theirs, so what somebody has edited stays.
+    Water and decks are written over classes that say nothing (0 and 1), and over those that are reset; ground and low noise
+    over every class. Points that are set aside keep theirs, so what somebody has edited stays.
 
     Attributes:
         ground_class: class of candidates that are ground.
@@ -53,19 +48,13 @@ class Classes:
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
         only_ground: change nothing but ground candidates, and what fields below ask for: the same as ``reset="none"``.
         noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
-        high_noise: class of isolated echoes far above all around, 18 by the ASPRS: every other echo of their square of 20 m and
-            of the eight around it lies more than 15 m below.
         water: class of points of water (``FilterResult.water``), 9 by the ASPRS; None: they are ground.
         bridge: class of points of decks (``FilterResult.deck``), 17 by the ASPRS; None: they are points like others.
-        vegetation: metres above ground from which points are low, medium and high vegetation (3, 4, 5). Points on smooth planes
-            from 2 m on, such as roofs, and points over voids of the ground wider than 40 m are none. None: no point is.
         unjudged: class of points of class 0 that are not judged, such as echoes above the last one; None: they keep it.
         overlap_flag: points of class 12 that are judged get another class and the overlap flag, which stands for it since LAS
             1.4; in point formats that have no such flag they keep class 12. False: they are points like others.
 
-    Echoes that are not judged only because others of their pulse are may be high noise and vegetation as well.
-
-    Raises: ParameterError for classes that are no numbers from 0 to 255, another ``reset``, and heights that do not ascend.
+    Raises: ParameterError for classes that are no numbers from 0 to 255, and another ``reset``.
 
     >>> changes = jf.class_changes(cloud, result, jf.Classes(ground_class=8))
     >>> bool(changes[0, 8] == result.ground.sum())
@@ -77,17 +66,17 @@ class Classes:
     reset: str = "ground"
     only_ground: bool = False
     noise_class: int | None = None
-    high_noise: int | None = None
     water: int | None = None
     bridge: int | None = None
-    vegetation: tuple[float, float, float] | None = None
     unjudged: int | None = None
     overlap_flag: bool = False
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"ground": {}}
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "ground": {},
+        "usgs": {"noise_class": 7, "water": 9, "bridge": 17, "unjudged": 1, "overlap_flag": True},
+    }
     """Named sets of classes: ``"ground"``, ground and no more; ``"usgs"``, what the USGS asks for in its Lidar Base Specification
-    2.1, table 5, as far as it can be found (1, 2, 7, 9, 17, 18, and the overlap flag instead of class 12); ``"las14"``, with
-    vegetation from 0.5, 2 and 5 m on, the heights that are most used, for LAS 1.4 names classes 3 to 5 but no heights."""
+    2.1, table 5, as far as it is found (1, 2, 7, 9, 17, and the overlap flag instead of class 12)."""
 
     def __post_init__(self) -> None:
         if self.reset not in RESETS:
@@ -96,13 +85,6 @@ class Classes:
             value = getattr(self, name)
             if value is not None and not 0 <= value <= 255:
                 raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
-        if self.vegetation is not None:
-            heights = tuple(float(value) for value in self.vegetation)
-            if len(heights) != 3 or not 0 <= heights[0] < heights[1] < heights[2] < np.inf:
-                raise ParameterError(
-                    f"vegetation={self.vegetation!r}: three heights in metres that ascend are needed, such as 0.5, 2, 5"
-                )
-            object.__setattr__(self, "vegetation", heights)
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> Self:
@@ -122,19 +104,17 @@ _FOUND = (
     (Finding.LOW_NOISE, "noise_class", "low_noise", "outliers"),
 )
 """What methods find, the field of :class:`Classes` that asks for it, that of the result, and words."""
-_OPTIONAL = ("noise_class", "high_noise", "water", "bridge", "unjudged")
-_USGS = {"noise_class": 7, "high_noise": 18, "water": 9, "bridge": 17, "unjudged": 1, "overlap_flag": True}
-Classes.PRESETS.update(usgs=_USGS, las14={**_USGS, "vegetation": (0.5, 2.0, 5.0)})
+_OPTIONAL = ("noise_class", "water", "bridge", "unjudged")
 
 
 def asked(classes: Classes) -> list[str]:
     """The settings that give points other classes than ground and ``other_class``, as text, for messages."""
-    values = [(name, getattr(classes, name)) for name in (*_OPTIONAL, "vegetation")]
+    values = [(name, getattr(classes, name)) for name in _OPTIONAL]
     return [f"{name}={value!r}" for name, value in values if value is not None]
 
 
 def table_of(classes: Classes) -> np.ndarray:
-    """u8[10, 256]: the new class, by :class:`Finding` and by the old class."""
+    """u8[6, 256]: the new class, by :class:`Finding` and by the old class."""
     old = np.arange(256, dtype=np.uint8)
     resets = np.full(256, classes.reset == "all" and not classes.only_ground)
     if classes.reset == "ground" and not classes.only_ground:
@@ -146,11 +126,9 @@ def table_of(classes: Classes) -> np.ndarray:
     table[Finding.KEPT, 0] = classes.unjudged or 0
     table[[Finding.GROUND, Finding.WATER]] = classes.ground_class
     table[Finding.LOW_NOISE] = table[Finding.LOW_NOISE] if classes.noise_class is None else classes.noise_class
-    plants = (None, None, None) if classes.vegetation is None else (3, 4, 5)
-    for kind, given in zip(
-        list(Finding)[Finding.HIGH_NOISE :], (classes.high_noise, classes.water, classes.bridge, *plants), strict=True
-    ):
-        table[kind, open_] = table[kind, open_] if given is None else given
+    for kind, given in ((Finding.WATER, classes.water), (Finding.DECK, classes.bridge)):
+        if given is not None:
+            table[kind, open_] = given
     return table
 
 
@@ -167,16 +145,9 @@ class Found:
     code: np.ndarray
 
 
-def findings_of(
-    cloud: PointCloud,
-    result: FilterResult | np.ndarray,
-    classes: Classes = Classes(),
-    reading: Reading = Reading(),  # noqa: B008
-    workers: int | None = None,
-) -> Found:
-    """What was found of the points of a cloud, by a filter and by what is around them. ``reading`` says which points may
-    become high noise and vegetation though another echo of their pulse was judged. Raises: InputError for labels of another
-    length; ParameterError if labels alone do not tell what is asked for. Warns: if the method does not look for it."""
+def findings_of(cloud: PointCloud, result: FilterResult | np.ndarray, classes: Classes = Classes()) -> Found:
+    """What a filter has found of the points of a cloud. Raises: InputError for labels of another length; ParameterError if
+    labels alone do not tell what is asked for. Warns: if the method does not look for it."""
     found = result if isinstance(result, FilterResult) else None
     ground = np.asarray(result) if found is None else found.ground
     if ground.shape != (len(cloud),) or ground.dtype != bool:
@@ -194,8 +165,6 @@ def findings_of(
             warn(f"no point gets class {number}: the method does not look for {what}; leave that class out")
         else:
             code[judged & points & (ground | (kind != Finding.WATER))] = kind
-    if classes.high_noise is not None or classes.vegetation is not None:
-        _look_around(cloud, found, ground, code, classes, reading, workers)
     if classes.overlap_flag and cloud.overlap is None:
         if (judged & (old == OVERLAP_CLASS)).any():
             warn(
@@ -204,40 +173,6 @@ def findings_of(
             )
         code[old == OVERLAP_CLASS] = Finding.KEPT
     return Found(ground, code)
-
-
-def _look_around(
-    cloud: PointCloud,
-    found: FilterResult | None,
-    ground: np.ndarray,
-    code: np.ndarray,
-    classes: Classes,
-    reading: Reading,
-    workers: int | None,
-) -> None:
-    """Put high noise and vegetation into ``code``."""
-    every = cloud.select(
-        returns="all",
-        ignore_classes=reading.ignore_classes,
-        ignore_overlap=reading.ignore_overlap,
-        keep_withheld=reading.keep_withheld,
-    ).candidate
-    free = (code == Finding.OTHER) | ((code == Finding.KEPT) & every & np.isin(old_classes(cloud), _OPEN))
-    if found is not None and found.deck is not None:
-        free &= ~found.deck
-    if classes.high_noise is not None:
-        from ..steps.high_noise import isolated_above  # late: it brings SciPy
-
-        high = free & isolated_above(cloud)
-        code[high], free = Finding.HIGH_NOISE, free & ~high
-    if classes.vegetation is not None:
-        from ..steps.vegetation import heights_near, on_planes
-
-        rows = np.flatnonzero(free)
-        height = heights_near(cloud, ground, rows, workers)
-        level = (height[:, None] >= np.array(classes.vegetation)).sum(axis=1)  # none over voids, where heights are NaN
-        level[on_planes(cloud, rows, height)] = 0
-        code[rows[level > 0]] = (Finding.LOW_VEGETATION - 1 + level[level > 0]).astype(np.uint8)
 
 
 def old_classes(cloud: PointCloud) -> np.ndarray:

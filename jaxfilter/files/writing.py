@@ -114,7 +114,7 @@ def write(
         overwrite: replace an existing file.
         in_place: allow the output to be the file that the cloud came from.
         ground_class, other_class, reset, only_ground, noise_class: which classes points get, see :class:`Classes`; or all of it
-            as ``classes``, such as ``jf.Classes.preset("las14")``.
+            as ``classes``, such as ``jf.Classes.preset("usgs")``.
         extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin,
             and doubt of methods that state it.
         heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes

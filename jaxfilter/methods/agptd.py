@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, ClassVar
 
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.growth import Growth, Mirror, Network, Outliers
@@ -14,21 +14,6 @@ from ..steps.outlier_filter import OutlierFate, OutlierRadius
 from ..steps.outliers import bar_outliers
 from ..steps.tin_filter import TerrainAngle, surrounded
 from .papers import bibtex
-
-_PAPER = {
-    "remainder": "own_cells",
-    "terrain_angle": "steepest_cell",
-    "neighbours": 4,
-    "low_clusters": False,
-    "refresh_border": False,
-}
-_TABLE1 = {
-    11: (39.0, 0.8, 6.0, 6.0), 12: (34.0, 0.6, 6.0, 6.0), 21: (45.0, 0.4, 6.0, 6.0), 22: (35.0, 1.0, 6.0, 6.0),
-    23: (34.0, 1.2, 6.0, 6.0), 24: (39.0, 0.7, 6.0, 6.0), 31: (34.0, 0.5, 6.0, 6.0), 41: (45.0, 1.4, 4.0, 6.0),
-    42: (37.0, 0.5, 6.0, 6.0), 51: (26.0, 0.5, 8.0, 14.0), 52: (28.0, 1.2, 8.0, 14.0), 53: (29.0, 1.4, 8.0, 14.0),
-    54: (15.0, 0.6, 8.0, 14.0), 61: (28.0, 1.0, 8.0, 14.0), 71: (35.0, 0.9, 8.0, 14.0),
-}  # fmt: skip
-"""Of each ISPRS sample max_angle and max_distance by Table 1, seed_cell by the number of seeds in Table 4, radius by 3.1.1."""
 
 
 @filter_params
@@ -48,8 +33,7 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     Presets: "recommended" is the default. Its cells of the first level are as large as the largest building; clusters of
     low points are barred in place of the paper's test of elevations, the border points follow the ground, and the terrain angle
     is a constant instead of that of the steepest cell, which in large cells is less than that of the hills in them. "paper"
-    has the printed grid for urban points, with the medians of the angles and distances of Table 1. "samp11" to "samp71"
-    have the values of Table 1 for the ISPRS samples, which the authors chose by trial on these samples.
+    has the printed grid for urban points, with the medians of the angles and distances of Table 1.
 
     Departures (docs/filters/agptd.md): seed cells smaller than buildings, as printed, need a cloud without roofs, which the
     outlier tests of the paper cannot provide; removed outliers are tested again instead of being lost; the elevation test
@@ -113,13 +97,16 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
         "paper": Preset(
             "as printed for urban points with the medians of Table 1, except that the test of elevations is replaced, whose "
             "formula has no unit, and that num = 4 and a relative slope of 0.06 are not printed",
-            **_PAPER,
+            remainder="own_cells",
+            terrain_angle="steepest_cell",
+            neighbours=4,
+            low_clusters=False,
+            refresh_border=False,
             max_angle=34.0,
             max_distance=0.8,
             seed_cell=6.0,
             outlier_fate="removed",
         ),
-        **sample_presets("", "max_angle max_distance seed_cell radius", _TABLE1, **_PAPER),
     }
 
     @classmethod

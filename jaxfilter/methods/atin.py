@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.facets import Rule
@@ -17,19 +17,11 @@ from ..engines.tin.network import corner_positions, one_network
 from ..steps.seeds import lowest_per_cell
 from ..steps.tin_filter import SlopeMirroring, VertexSpacing, surrounded
 from .papers import bibtex
-from .stin import TABLE2
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _DEVIATIONS = 15.0
 """The limits are this many standard deviations above the median."""
-_PAPER = {
-    "thresholds": "adaptive",
-    "border": "corners",
-    "refresh_border": False,
-    "low_clusters": False,
-    "mirror": "nearest",
-}
 
 
 @filter_params
@@ -51,8 +43,7 @@ class ATIN(SlopeMirroring, VertexSpacing):
 
     Presets: "recommended" is the default; border points follow the ground, clusters of low points are no seeds, and the
     limits are constant, since in no variant that was tried did adaptive ones do better on simulated scenes. "paper" has
-    adaptive limits, four corner points and the medians of Table 2; "samp11", "samp12", "samp23", "samp52" and "samp71"
-    the values of Table 2 of Uray & Varlik (2024) as upper limits.
+    adaptive limits, four corner points and the medians of Table 2 of Uray & Varlik (2024).
 
     >>> filter_ = jf.ATIN(thresholds="adaptive", max_distance=1.4)
     >>> filter_(cloud).status.message
@@ -95,9 +86,9 @@ class ATIN(SlopeMirroring, VertexSpacing):
         "paper": Preset(
             "as reported by Uray and Varlik (2024) with the medians of their Table 2, except that how limits follow from "
             "histograms is not reported: median plus 15 robust standard deviations, at most these medians",
-            **_PAPER, seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0,
+            thresholds="adaptive", border="corners", refresh_border=False, low_clusters=False, mirror="nearest",
+            seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0,
         ),
-        **sample_presets("; else as paper", "seed_cell max_terrain_slope max_distance max_angle", TABLE2, **_PAPER),
     }  # fmt: skip
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core.grid import period
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.morphology import opening
@@ -23,12 +23,6 @@ from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
 from ..steps.tin_filter import TerrainAngle, labels_of_nodes, surrounded
 from .papers import bibtex
-
-_TABLE2 = {
-    11: (30.0, 300, 0.5, 30.0, 2.0), 12: (30.0, 300, 0.5, 45.0, 2.0), 23: (40.0, 600, 0.8, 45.0, 1.5),
-    52: (35.0, 200, 0.8, 25.0, 2.4), 71: (25.0, 300, 0.8, 20.0, 3.0),
-}  # fmt: skip
-"""window, k, plane_error, max_angle and max_distance of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 @filter_params
@@ -49,9 +43,7 @@ class IPTD(TerrainAngle):
     5. Upward densification: PTD with ``max_angle`` and ``max_distance``. Lengths in metres, angles in degrees.
 
     ``info`` counts ``potential_seeds``, ``removed_seeds`` and ``downward_rounds``. "paper" moves the planes down and has no
-    search for low outliers. Presets "samp11", "samp12", "samp23", "samp52" and "samp71" are the operator's choices of Uray
-    and Varlik (2024), Table 2, for these ISPRS samples, with the initial grid of the same table as the window, and one
-    vertex per 2 m in place of the shortest edge that the programs of this family split.
+    search for low outliers.
 
     Departures (docs/filters/iptd.md): the planes are not moved down by default.
 
@@ -97,9 +89,6 @@ class IPTD(TerrainAngle):
             k=300,
             translation="lowest",
             low_clusters=False,
-        ),
-        **sample_presets(
-            "", "window k plane_error max_angle max_distance", _TABLE2, cell=1.0, tolerance=0.3, vertex_spacing=2.0
         ),
     }
 

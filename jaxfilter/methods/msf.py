@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..core.params import Preset, filter_params, param, static
-from ..core.points import Points
-from ..engines.grid.cones import cone_erosion, cone_limits
+from ..engines.grid.cones import cone_erosion
 from ..engines.grid.morphology import erosion
-from ..steps.grid_filter import Heights, LowOutlierFilter, Surface
-from ..steps.surfaces import Cells, cell_for, lowest_places
+from ..steps.grid_filter import LowOutlierFilter, Surface
+from ..steps.surfaces import Cells, cell_for
 from .papers import bibtex
 
 MAX_REACH = 100  # cells; the time grows with the square
@@ -41,8 +38,8 @@ class MSF(LowOutlierFilter):
     points are barred from the cells' minima, and terrain may rise by 30 degrees and 6 m (15 degrees rejects all of a steeper
     hillside; on steep simulated scenes still more does better, see docs/filters/msf.md).
 
-    Departures (docs/filters/msf.md): minima of cells instead of all points; distances between cell centres unless
-    ``distance`` is "points"; one constant slope instead of a function learned from a training area.
+    Departures (docs/filters/msf.md): minima of cells instead of all points; distances between cell centres; one constant slope
+    instead of a function learned from a training area.
 
     >>> mild, steep = (jf.MSF(slope=slope)(cloud) for slope in (0.2, 0.6))
     >>> bool((mild.ground <= steep.ground).all())
@@ -56,11 +53,6 @@ class MSF(LowOutlierFilter):
     max_height: float = param("terrain rises at most by this within the window", "> 0 m", default=6.0)
     initial_distance: float = param(
         "a point may be this much higher than one beside it, because of noise", ">= 0 m", default=0.3
-    )
-    distance: str = static(
-        "the distance is measured from cell to cell (cells), or from the point to the lowest point of each cell (points)",
-        default="cells",
-        choices=("cells", "points"),
     )
 
     BIBTEX: ClassVar[str] = bibtex("vosselman2000slope")
@@ -92,14 +84,6 @@ class MSF(LowOutlierFilter):
         where points are few; metres."""
         return self.window + 2 * self.cell + 60.0 * self.low_clusters
 
-    def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
-        """The lowest elevation per ``cell``, and where it is if ``distance`` is "points"; see ``GridFilter``."""
-        barred = self._barred(points, None) if barred is None else barred
-        cells = super().cells(points, barred)
-        if self.distance == "cells":
-            return cells
-        return dataclasses.replace(cells, place=lowest_places(points.xyz, cells, barred))
-
     @jax.jit
     def surface(self, prepared: Cells) -> Surface:
         """The surface eroded with the slope alone, as far as the allowance grows, and the limits for points. Pure.
@@ -113,19 +97,6 @@ class MSF(LowOutlierFilter):
         steep = jnp.minimum(jnp.float32(reach), (highest - tolerance) / rise)
         cone = cone_erosion(lowest, rise, steep, reach)
         flat = erosion(lowest, reach, reach) + highest
-        limits: tuple[Any, ...] = jnp.minimum(cone + tolerance, flat), cone - tolerance
-        if cells.place is not None:
-            limits += (lowest, cells.place)
+        limits = jnp.minimum(cone + tolerance, flat), cone - tolerance
         known = jnp.where(cells.valid & jnp.isfinite(cone), cone, 0)
         return Surface.over(cells, known, limits)._replace(z=cone)
-
-    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
-        """Points held against the limits of their cell, or by their distances to lowest points. Pure."""
-        if self.distance == "cells":
-            return super().test(surface, xyz)
-        *cells, lowest, place = surface.limits
-        held = super().test(surface._replace(limits=cells), xyz)
-        limits = jnp.stack([*map(jnp.float32, (self.initial_distance, self.slope, self.max_height, self.window))])
-        reach = math.ceil(self.window / self.cell + math.sqrt(2))
-        top = cone_limits(xyz, lowest, place, surface.frame, surface.extent, limits, reach)
-        return held._replace(above=jnp.subtract(xyz[:, 2], top))

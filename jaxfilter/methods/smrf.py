@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import opening, roomy
@@ -21,13 +21,6 @@ from .papers import bibtex
 
 _PER_OCTAVE = 4  # slopes of the series that :func:`jaxfilter.soft_labels` interpolates in
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
-_OPTIMA = {
-    11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
-    23: (0.27, 13.0, 0.50, 0.90), 24: (0.16, 8.0, 0.20, 2.05), 31: (0.08, 15.0, 0.25, 1.50), 41: (0.22, 16.0, 1.10, 0.00),
-    42: (0.06, 49.0, 1.05, 0.00), 51: (0.05, 17.0, 0.35, 0.90), 52: (0.13, 13.0, 0.25, 2.20), 53: (0.45, 3.0, 0.10, 3.80),
-    54: (0.05, 11.0, 0.15, 2.30), 61: (0.28, 5.0, 0.50, 1.45), 71: (0.13, 15.0, 0.75, 0.00),
-}  # fmt: skip
-"""slope, window, threshold and scaling that the authors found best for each ISPRS sample, on its labels."""
 
 
 @filter_params
@@ -49,9 +42,7 @@ class SMRF(GridFilter):
     The result's ``height`` is metres above the terrain, ``slope`` that of the terrain in degrees, ``margin`` |height|
     minus the tolerance in metres; ``info`` counts cells: all, empty, low, objects.
 
-    "paper" and "recommended" are the single parameter set for all sites (section 3.2), which is the default. The presets
-    "samp11" to "samp71" are the authors' optima per ISPRS sample. They were found with that sample's labels: an upper
-    bound for the method, not settings to expect on unseen data.
+    "paper" and "recommended" are the single parameter set for all sites (section 3.2), which is the default.
 
     Departures (docs/filters/smrf.md): exactly Euclidean disks; bilinear interpolation at the points. Cells are centred on a
     lattice that counts from the cloud's anchor, which by default is that of the authors.
@@ -78,7 +69,6 @@ class SMRF(GridFilter):
             "as printed: the authors' single set for all sites, except that heights at the points are bilinear, not splines"
         ),
         "recommended": Preset("the default: the authors' single set for all sites"),
-        **sample_presets("; the authors' optimum on its labels", "slope window threshold scaling", _OPTIMA),
     }
 
     @classmethod
@@ -136,7 +126,7 @@ class SMRF(GridFilter):
 
     def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
-        cells, surface, steepest, bare, counts, _ = prepared
+        cells, surface, steepest, bare, counts = prepared
         terrain, objects = _spanned(
             surface, steepest, bare, cells, slope
         )  # as in prepare(), so that it is compiled once
@@ -154,14 +144,6 @@ class SMRF(GridFilter):
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         return _held(surface, xyz, self.threshold, self.scaling)
 
-    def _terrains(self, prepared: Opened, steps: jax.Array) -> Surface:
-        """The terrains at steps f32[k] of the series of slopes that ``_soft`` interpolates in."""
-        return jax.vmap(lambda slope: self._terrain(prepared, slope))(jnp.exp2(steps / _PER_OCTAVE))
-
-    def _for_fits(self, prepared: Opened, lowest: Self, highest: Self) -> Opened:
-        first, last = (math.floor(float(_step(one.slope))) for one in (lowest, highest))
-        return prepared._replace(series=(jnp.int32(first), self._terrains(prepared, jnp.arange(first, last + 2.0))))
-
     def _soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
@@ -169,14 +151,10 @@ class SMRF(GridFilter):
         than the one before, and the labels are interpolated. Continuous in ``slope``, ``threshold`` and ``scaling``, and
         differentiable; where half the slope is one of the series the derivative has a jump. f32[n], 0 to 1. Pure."""
         cells, filled, steepest = prepared[:3]
-        step = _step(jnp.asarray(self.slope, jnp.float32))
+        step = _PER_OCTAVE * jnp.log2(0.5 * jnp.asarray(self.slope, jnp.float32))
         first = jax.lax.stop_gradient(jnp.floor(step))
-        if prepared.series is None:
-            ends = self._terrains(prepared, first + jnp.arange(2, dtype=jnp.float32))
-        else:
-            of, terrains = prepared.series
-            begin = (first - of).astype(jnp.int32)
-            ends = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, begin, 2), terrains)
+        slopes = jnp.exp2((first + jnp.arange(2, dtype=jnp.float32)) / _PER_OCTAVE)
+        ends = jax.vmap(lambda slope: self._terrain(prepared, slope))(slopes)
 
         def passed(surface: Surface) -> jax.Array:
             return jax.nn.sigmoid(-self.test(surface, xyz).margin / width)
@@ -197,7 +175,6 @@ class Opened(NamedTuple):
         steepest: f32[rows, columns], metres per cell of radius: at a smaller largest slope a cell is an object.
         bare: bool[rows, columns], cells with points that are neither low outliers nor net.
         counts: numbers of cells, i32[] each.
-        series: for fits, the first of a series of slopes, i32[], and its terrains.
     """
 
     cells: Cells
@@ -205,12 +182,6 @@ class Opened(NamedTuple):
     steepest: jax.Array
     bare: jax.Array
     counts: dict[str, jax.Array]
-    series: tuple[jax.Array, Surface] | None = None
-
-
-def _step(slope: jax.Array | float) -> jax.Array:
-    """Where half a slope lies in the series of slopes."""
-    return _PER_OCTAVE * jnp.log2(0.5 * slope)
 
 
 @functools.partial(jax.jit, static_argnames=("most", "mesh"))

@@ -13,7 +13,7 @@ from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
 from ..core.filter import degenerate, of_scene
 from ..core.grid import Grid, grid_over, period
-from ..core.params import Preset, filter_params, param, sample_presets, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
 from ..engines.ground import grow
@@ -33,11 +33,6 @@ _OUTLIER_CELL = 10.0
 """Metres: cells that the surface is made from which outliers are far from (Uray & Varlik 2024)."""
 QUANTILE = 0.97
 """Share of the ground points that stays within the limits when they are lowered."""
-TABLE2 = {
-    11: (30.0, 17.0, 2.0, 30.0), 12: (30.0, 3.0, 2.0, 45.0), 23: (40.0, 15.0, 4.0, 45.0), 52: (35.0, 10.0, 2.4, 25.0),
-    71: (25.0, 5.0, 4.0, 20.0),
-}  # fmt: skip
-"""seed_cell, max_terrain_slope, max_distance and max_angle of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
@@ -78,9 +73,6 @@ class STIN(OutlierFate, SlopeMirroring):
     Presets: "recommended" is the default; it takes as outliers what lies below the trend of the low terrain and clusters of
     low points, and mirrors nothing. "paper" takes everything as printed, with the medians of Table 2 as upper limits of
     thresholds that are recomputed from the ground so far.
-    "samp11", "samp12", "samp23", "samp52" and "samp71" have the values of Table 2 as upper limits of thresholds that are
-    recomputed for each cell size, as the text says, and mirror nothing: with mirror images as a second chance most
-    buildings are accepted, and no error in Table 3 can be met.
 
     Departures (docs/filters/stin.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
 
@@ -131,12 +123,6 @@ class STIN(OutlierFate, SlopeMirroring):
             "quantile of the ground so far whenever cells are halved, at most these medians",
             seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0, thresholds="quantile",
             mirror="nearest", low_clusters=False, outlier_surface="quadratic", outlier_fate="removed",
-        ),
-        **sample_presets(
-            "; Table 2, upper limits of thresholds that are lowered with each cell size, without mirroring",
-            "seed_cell max_terrain_slope max_distance max_angle outlier_distance",
-            {number: (*row, 10.0 if number < 50 else 5.0) for number, row in TABLE2.items()},
-            thresholds="quantile", mirror="off", low_clusters=False, outlier_surface="quadratic",
         ),
     }  # fmt: skip
 

@@ -22,7 +22,6 @@ from .maps import hillshade as hillshade
 from .maps import panel as panel
 from .maps import profile as profile
 from .maps import rasterise as rasterise
-from .sweeps import fit_curves as fit_curves
 from .sweeps import sweep_curve as sweep_curve
 from .sweeps import sweep_curves as sweep_curves
 from .sweeps import sweep_map as sweep_map

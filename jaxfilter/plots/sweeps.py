@@ -17,8 +17,6 @@ from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, 
 if TYPE_CHECKING:
     import xarray
 
-    from ..sweeps.fit import Fit
-
 BEST = TYPE_1
 """Colour of what belongs to the best set."""
 SURE, EVEN = "#F0E442", "#7A0403"
@@ -197,37 +195,6 @@ def sweep_map(
     ax.set_title(title, fontsize=10)
     if limits is None:
         _colour_bar(ax, dataset, score, [ax])
-    return ax
-
-
-def fit_curves(found: Fit, *, ax: Any = None, title: str = "") -> Any:
-    """Both curves of a fit: the error of soft labels on the clouds that took part, and on those that were held out, against the
-    steps; and the total error of the labels of the latter, with the step whose parameters were returned.
-
-    Args:
-        found: from :func:`jaxfilter.fit`.
-        ax: matplotlib Axes; by default those of a new figure.
-
-    Returns: the Axes.
-
-    >>> found = jf.fit(jf.SMRF(), cloud, truth, steps=4, validation=jf.CrossValidation(2, block=10.0))
-    >>> jf.plots.fit_curves(found).get_xlabel()
-    'step'
-    """
-    ax = axes_or_new(ax, (3.6, 2.8))
-    curves = found.curves
-    scored = curves["total"].dropna("step")
-    for name, colour, label in (("fitted", TYPE_2, "fitted clouds"), ("held_out", "0.55", "held out")):
-        ax.plot(curves["step"], curves[name], "--", color=colour, linewidth=1, label=f"soft labels, {label}")
-    ax.plot(scored["step"], scored, color=TYPE_2, linewidth=1.4, marker="o", markersize=2.5, label="labels, held out")
-    step = int(scored["step"][int(np.argmin(scored.values))]) if found.moved else 0
-    label = "returned" if found.moved else "returned: the start"
-    ax.plot(step, float(scored.sel(step=step)), label=label, **_STAR)
-    ax.set_xlabel("step", fontsize=8)
-    ax.set_ylabel(_NAMES["total"], fontsize=8)
-    ax.set_title(title, fontsize=10)
-    ax.tick_params(labelsize=7)
-    ax.legend(**LEGEND)
     return ax
 
 

@@ -74,7 +74,7 @@ def lowest_per_adaptive_cell(
     whole = np.floor(cells + 1e-9) if remainder == "absorbed" else np.ceil(cells - 1e-6)
     columns, rows = np.maximum(whole, 1).astype(np.int64)
     finest = 2 ** (levels - 1)
-    if columns * rows * finest**2 > most_cells(len(points)):
+    if int(columns) * int(rows) * finest**2 > most_cells(len(points)):
         raise InputError(
             f"seed_cell={cell:g} m with {levels} grid levels makes {columns * finest} x {rows * finest} cells over this "
             "extent: use larger cells or fewer levels, or remove stray points far from the rest"

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, in_turn
+from ..core.compilation import in_turn
 from ..core.errors import check_positive
 from ..core.filter import Filter, Labels, alike, ground_each, values_of, watched
 from ..core.params import static
@@ -181,10 +181,6 @@ class GridFilter(Filter):
         """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure."""
         return jax.nn.sigmoid(-self.test(self.surface(prepared), xyz).margin / width)
 
-    def _for_fits(self, prepared: Any, lowest: Self, highest: Self) -> Any:
-        """What ``prepare`` has made, with what ``_soft`` would make anew for each set between two."""
-        return prepared
-
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         progress(0.0, "outliers")
@@ -269,42 +265,6 @@ def check_width(width: jax.Array | float) -> None:
     """Raises: ParameterError for a width that is not above zero, unless it is traced."""
     if not isinstance(width, jax.core.Tracer):
         check_positive(" of metres", width=float(width))
-
-
-def fit_data(
-    filter_: GridFilter, points: Points, ends: tuple[Any, Any], rows: np.ndarray, weight: np.ndarray
-) -> tuple[Any, jax.Array, jax.Array]:
-    """The arrays of a cloud that :func:`soft_errors` takes: what models between two sets are made of, and some rows of the
-    points, i64[r], padded, with ``weight``, f[2, r]: how many points of ground, and of objects, each stands for."""
-    prepared = filter_._for_fits(filter_.prepare(filter_.cells(points)), *ends)
-    rest = bucket(len(rows)) - len(rows)
-    xyz = np.pad(points.xyz[rows], ((0, rest), (0, 0)), mode="edge")
-    return prepared, jnp.asarray(xyz), jnp.asarray(np.pad(weight, ((0, 0), (0, rest))), jnp.float32)
-
-
-@jax.jit
-def soft_errors(
-    filter_: GridFilter, data: Any, held: jax.Array, fields: dict[str, jax.Array], width: jax.Array | float
-) -> tuple[tuple[jax.Array, jax.Array], dict[str, jax.Array]]:
-    """The total error of soft labels, percent, of k sets at once.
-
-    Args:
-        data: from :func:`fit_data`.
-        held: bool[k, n], the points that take no part.
-        fields: f32[k] each, by name.
-        width: see :func:`soft_labels`.
-
-    Returns: f32[k] for the points that take part, f32[k] for the others, NaN where there is none; and the gradients of the first.
-    """
-    prepared, xyz, weight = data
-
-    def error(one: dict[str, Any], out: jax.Array) -> tuple[jax.Array, jax.Array]:
-        soft = dataclasses.replace(filter_, **one)._soft(prepared, xyz, width)
-        wrong, every = weight[0] * (1 - soft) + weight[1] * soft, weight.sum(axis=0)
-        first, second = (100 * jnp.sum(wrong, where=some) / jnp.sum(every, where=some) for some in (~out, out))
-        return first, second
-
-    return jax.vmap(jax.value_and_grad(error, has_aux=True))(fields, held)
 
 
 def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:

@@ -28,7 +28,7 @@ _IN_FLIGHT = 8  # chunks that may be computed at once
 
 @functools.partial(
     jax.tree_util.register_dataclass,
-    data_fields=["lowest", "seen", "valid", "extent", "frame", "place"],
+    data_fields=["lowest", "seen", "valid", "extent", "frame"],
     meta_fields=[],
 )
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,7 +41,6 @@ class Cells:
         valid: bool, cells of the true extent.
         extent: i32[2], true number of rows and columns.
         frame: f32[3], x and y of the lower left corner and side of a cell, metres.
-        place: f32[rows, columns, 2], x and y of the lowest points, zero in empty cells; None unless a method needs it.
     """
 
     lowest: np.ndarray | jax.Array
@@ -49,7 +48,6 @@ class Cells:
     valid: np.ndarray | jax.Array
     extent: np.ndarray | jax.Array
     frame: np.ndarray | jax.Array
-    place: np.ndarray | jax.Array | None = None
 
     def checked(self) -> Cells:
         """The same cells; those outside the extent, and those whose elevation is NaN or infinite, count as empty.
@@ -126,22 +124,6 @@ def check_openings(cells: Cells, openings: int, points: Points, name: str) -> No
             f"{name}: {openings:,} openings of {rows:,} x {columns:,} cells for {len(points):,} points: use larger cells or "
             "a smaller window, or remove stray points far from the rest"
         )
-
-
-def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray | None) -> np.ndarray:
-    """f32[rows, columns, 2]: x and y of the lowest point in each cell, zero in empty ones.
-
-    ``xyz``: f32[n, 3], ``barred``: bool[n], as for :func:`lowest_cells`. Of equally low points the westernmost is taken, and
-    the southernmost of these.
-    """
-    shape = cells.lowest.shape
-    low = xyz[:, 2] == look_up(xyz, cells, cells.lowest)[0]
-    rows = np.flatnonzero(low if barred is None else low & ~barred)
-    at = places_in(xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), shape[1])
-    order = np.lexsort((xyz[rows, 1], xyz[rows, 0], at))[::-1]
-    place = np.zeros((shape[0] * shape[1], 2), np.float32)
-    place[at[order]] = xyz[rows[order], :2]  # of repeated cells the last one written stays
-    return place.reshape(*shape, 2)
 
 
 def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, ...]]) -> list[np.ndarray]:

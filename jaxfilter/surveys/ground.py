@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import PointCloud, overlap_counts
+from ..core.cloud import overlap_counts
 from ..core.errors import ParameterError, warn
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
-from ..files.classes import Classes, Finding, Found, asked, class_changes, findings_of
+from ..files.classes import Classes, Finding, Found, class_changes, findings_of
 from ..files.disk import check_suffix
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import SUFFIXES
@@ -31,9 +31,6 @@ from .report import RunReport, Summary
 from .run import survey_of_points
 from .targets import Targets
 from .tiles import Around, Tile, part_of
-
-_REACH = 40.0
-"""Metres around a tile that high noise and heights of plants depend on, as their steps say."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,11 +50,9 @@ class GroundProduct(Product):
     into_text: bool
 
     def cut(self) -> Cut:
-        """With a halo for the filter, and for what classes besides ground depend on."""
+        """With a halo for the filter."""
         assert self.filter is not None
-        halo = self.filter.halo() if self.halo is None else self.halo
-        halo += _REACH * (self.classes.vegetation is not None)
-        return Cut(max(halo, _REACH * (self.classes.high_noise is not None)), self.filter.lattice())
+        return Cut(self.filter.halo() if self.halo is None else self.halo, self.filter.lattice())
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Label the points of a tile. Raises: InputError, ParameterError."""
@@ -67,26 +62,15 @@ class GroundProduct(Product):
         if self.reading.aoi is not None and not around.core.any():
             return {}, summary
         cloud, start = around.cloud, time.perf_counter()
-        result = self.filter(self._wider(tile, cloud), workers=local.threads, progress=local.progress)
+        result = self.filter(cloud, workers=local.threads, progress=local.progress)
         summary.seconds["filter"] = (done := time.perf_counter()) - start
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
-        found = findings_of(cloud, result, self.classes, self.reading, local.threads)
-        told = time.perf_counter()
-        if asked(self.classes):
-            summary.seconds["classes"] = told - done
+        found = findings_of(cloud, result, self.classes)
         summarise(summary, around, result, found, None if bare else self.classes)
         kept = suspects_in(around, result, tile, self.reading)
         kept |= kept_water(cloud, water_of(cloud, result, result.ground), tile)
-        summary.seconds["places"] = time.perf_counter() - told
+        summary.seconds["places"] = time.perf_counter() - done
         return packed(around, found, self.columns(around, result)) | kept, summary
-
-    def _wider(self, tile: Tile, cloud: PointCloud) -> PointCloud:
-        """The cloud, with labels asked for as far around the core as heights of plants need ground."""
-        if tile.core is None or self.classes.vegetation is None:
-            return cloud
-        reach = _REACH / tile.sources[0].metre
-        x0, y0, x1, y1 = tile.core
-        return dataclasses.replace(cloud, core=(x0 - reach, y0 - reach, x1 + reach, y1 + reach))
 
     def columns(self, around: Around, result: FilterResult) -> dict[str, np.ndarray]:
         """f32[k]: the quantities ``extra`` of the points of a core, by name. Raises: ParameterError if the method has none."""

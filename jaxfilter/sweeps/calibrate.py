@@ -116,10 +116,10 @@ class CrossValidation:
             raise InputError(
                 "labels: all labelled points lie in one block; label points in several places, or pass block="
             )
-        return deal(count, self.folds)[owner]
+        return _deal(count, self.folds)[owner]
 
 
-def deal(sizes: np.ndarray, folds: int) -> np.ndarray:
+def _deal(sizes: np.ndarray, folds: int) -> np.ndarray:
     """i64[n]: the fold of each part, so that all folds are about as large; at most as many as there are parts."""
     fold_of, full = np.zeros(len(sizes), np.int64), np.zeros(min(folds, len(sizes)))
     for number in np.argsort(-sizes, kind="stable"):  # the largest first, each to the fold that has least
@@ -170,8 +170,8 @@ class Study:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
         self.filter, self.score = filter_, score
         cloud = as_cloud(cloud)
-        self.ranges = ranges_of(filter_, axes)
-        truth, known = known_labels(cloud, labels)
+        self.ranges = _ranges_of(filter_, axes)
+        truth, known = _known_labels(cloud, labels)
         for name, kind in (("ground", truth), ("object", ~truth)):
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
@@ -409,7 +409,7 @@ def calibrate(
     options, validation = SweepOptions(key, workers, memory), CrossValidation(folds, block)
     cloud = as_cloud(cloud)
     if labelled is not None:
-        mask, (truth, known) = np.asarray(labelled), known_labels(cloud, labels)
+        mask, (truth, known) = np.asarray(labelled), _known_labels(cloud, labels)
         if mask.shape != (len(cloud),) or mask.dtype != bool:
             raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
         labels = np.where(known & mask, truth, -1).astype(np.int8)
@@ -434,7 +434,7 @@ def calibrate(
     return study.result()
 
 
-def ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
+def _ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
     """Checked search ranges. Raises ParameterError."""
     ranges = search_ranges(filter_)
     if axes is not None:
@@ -466,9 +466,9 @@ def ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Rang
     return ranges
 
 
-def known_labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
-    """bool[n] ground, bool[n] whether that is known; without labels, what the cloud says. Raises InputError."""
-    array = cloud if labels is None else np.asanyarray(labels)
-    if isinstance(array, np.ndarray) and array.shape != (len(cloud),):
+def _known_labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
+    """bool[n] ground, bool[n] whether that is known. Raises InputError."""
+    array = np.asanyarray(labels)
+    if array.shape != (len(cloud),):
         raise InputError(f"labels: {len(cloud)} are needed, one per point of the cloud, not an array {array.shape}")
     return reference_labels(array)

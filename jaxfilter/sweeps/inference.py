@@ -62,7 +62,7 @@ class Sample:
         """
         order = np.lexsort(xyz.T)
         with_label, without = order[known[order]], order[~known[order]]
-        chosen, rest = evenly(with_label, LABELLED), evenly(without, UNLABELLED)
+        chosen, rest = _evenly(with_label, LABELLED), _evenly(without, UNLABELLED)
         place = np.searchsorted(np.flatnonzero(known), chosen)
         cell = np.floor(xyz[chosen, :2].astype(np.float64) / (BLOCK * spacing)).astype(np.int64)
         block = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
@@ -161,7 +161,7 @@ def expected_confusion(calls: np.ndarray, ground: np.ndarray) -> np.ndarray:
     return np.stack([first, second], axis=-2)
 
 
-def evenly(index: np.ndarray, most: int) -> np.ndarray:
+def _evenly(index: np.ndarray, most: int) -> np.ndarray:
     """At most so many, at equal distances."""
     return index[np.linspace(0, len(index) - 1, most).round().astype(np.int64)] if len(index) > most else index
 

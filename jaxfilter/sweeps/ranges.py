@@ -37,11 +37,9 @@ class Range:
         """The value at a position of the unit interval, to four digits."""
         if self.scale == "whole":
             return min(int(self.low + u * (self.high - self.low + 1)), int(self.high))
-        return float(f"{self.value(u):.4g}")
-
-    def value(self, u: Any) -> Any:
-        """The value at a position, or the values at positions f[...], of a range without whole numbers; not rounded."""
-        return self.low * (self.high / self.low) ** u if self.scale == "log" else self.low + (self.high - self.low) * u
+        log = self.scale == "log"
+        value = self.low * (self.high / self.low) ** u if log else self.low + u * (self.high - self.low)
+        return float(f"{value:.4g}")
 
     def position(self, value: float) -> float:
         """Where a value lies on the unit interval; outside the range beyond it, but not further than its length."""

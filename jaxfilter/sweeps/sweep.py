@@ -63,12 +63,6 @@ class Subject:
         self.points, self.options = dataclasses.replace(filter_.points_of(cloud), kept={}), options
         self.same = degenerate(cloud, self.points)
 
-    def of_kinds(self, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
-        """f64[2, m]: how many points that are ground in truth, bool[n], each row stands for, and how many objects, of those that
-        are ``counted``, bool[n]."""
-        index, member, m = self.points.index, self.points.member, len(self.points)
-        return np.stack([np.bincount(member, kind[index], m) for kind in (counted & truth, counted & ~truth)])
-
     def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:
         """Number of the set and bool[m], ground, for every set; they differ in traced fields only."""
         if self.same is not None:
@@ -172,27 +166,6 @@ def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, Po
     return several, {name: as_cloud(cloud) for name, cloud in pairs}
 
 
-def named_labels(labels: Any, several: bool, named: Iterable[str], caller: str) -> dict[str, Any]:
-    """The labels of each cloud by its name. They are given as a mapping, as a sequence like the clouds, or as those of one cloud.
-
-    Raises: InputError for another number, and for names of no cloud.
-    """
-    names = list(named)
-    if isinstance(labels, Mapping):
-        found = {str(name): its for name, its in labels.items()}
-    else:
-        its = list(labels) if several or np.ndim(labels) != 1 else [labels]
-        if len(its) != len(names):
-            raise InputError(
-                f"{caller}: there are {len(names)} clouds and labels of {len(its)}: give those of every cloud"
-            )
-        found = dict(zip(names, its, strict=True))
-    if other := set(names) ^ set(found):
-        what = "has no labels" if min(other) in names else "is no cloud"
-        raise InputError(f"{caller}: labels: {min(other)} {what}: give those of every cloud, by its name")
-    return found
-
-
 def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None:
     """Raises: InputError if the reference labels of a cloud are all of one class."""
     if cloud.reference is None:
@@ -214,8 +187,10 @@ class _Scene(Subject):
         self.weights: np.ndarray | None = None
         if cloud.reference is not None:
             truth, counted = reference_labels(cloud)
-            self.weights = self.of_kinds(truth, counted)
-            self.totals = np.array([(counted & truth).sum(), (counted & ~truth).sum()])
+            index, member, rows = self.points.index, self.points.member, len(self.points)
+            kinds = counted & truth, counted & ~truth  # of how many points of ground, and objects, a row consists
+            self.weights = np.stack([np.bincount(member, kind[index], rows) for kind in kinds])
+            self.totals = np.array([kind.sum() for kind in kinds])
 
     def confusion(self, ground: np.ndarray) -> np.ndarray:
         """i64[2, 2], as in Scores; zeros without a reference."""

@@ -14,7 +14,6 @@ import numpy as np
 from jax import lax
 
 from ...core.arrays import GRID, operation, takes
-from .cells import cell_index
 
 _AT_ONCE = 4  # offsets per step of the loop
 
@@ -68,52 +67,3 @@ def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) 
         return out
 
     return lax.fori_loop(0, (taken + _AT_ONCE - 1) // _AT_ONCE, step, z)
-
-
-@operation(
-    xy="f32[n, 2+]",
-    lowest=GRID,
-    place="f32[rows, columns, 2]",
-    frame="f32[3]",
-    extent="int[2]",
-    limits="f32[4]",
-    reach=0,
-)
-def cone_limits(
-    xy: jax.Array,
-    lowest: jax.Array,
-    place: jax.Array,
-    frame: jax.Array,
-    extent: jax.Array,
-    limits: jax.Array,
-    reach: int,
-) -> jax.Array:
-    """How high points may lie over the lowest points of the cells around, by true distances between points.
-
-    Args:
-        xy: f32[n, >=2], local metres.
-        lowest: f32[rows, columns], metres; +inf in empty cells.
-        place: f32[rows, columns, 2], x and y of the points that are lowest, local metres.
-        frame: f32[3], x and y of the lower left corner and side of a cell, metres.
-        extent: i32[2], true number of rows and columns.
-        limits: f32[4], allowance at no distance (m), slope (rise over run), largest allowance (m), largest distance (m).
-        reach: radius in cells that is searched; at least the largest distance and a cell's diagonal.
-
-    Returns: f32[n], metres; +inf where no cell sets a limit.
-    """
-    base, slope, largest, radius = limits
-    offsets, lengths = disk_offsets(reach)
-    shifts, real = jnp.asarray(offsets), jnp.asarray(np.isfinite(lengths))
-    at = cell_index(xy, frame[:2], frame[2], extent, lowest.shape[1])
-    row, column = at // lowest.shape[1], at % lowest.shape[1]
-    low, where = lowest.reshape(-1), place.reshape(-1, 2)
-
-    def step(i: jax.Array, out: jax.Array) -> jax.Array:
-        r, c = row + shifts[i, 0], column + shifts[i, 1]
-        there = (r >= 0) & (r < extent[0]) & (c >= 0) & (c < extent[1]) & real[i]
-        cell = jnp.where(there, r * lowest.shape[1] + c, 0)
-        distance = jnp.hypot(*(xy[:, :2] - where[cell]).T)
-        limit = low[cell] + jnp.minimum(largest, base + slope * distance)
-        return jnp.where(there & (distance <= radius), jnp.minimum(out, limit), out)
-
-    return lax.fori_loop(0, len(offsets), step, jnp.full(len(xy), jnp.inf, jnp.float32))
