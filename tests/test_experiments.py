@@ -5,6 +5,7 @@ import signal
 import statistics
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,17 +24,17 @@ from experiments.bench import run as bench  # noqa: E402
 from experiments.benchmark import run as benchmark  # noqa: E402
 from experiments.default import doubt, flat  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
-from experiments.failures import cuts  # noqa: E402
-from experiments.failures import run as failures  # noqa: E402
 from experiments.fits import run as fits  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.mutations import kinds as mutations  # noqa: E402
 from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
+from experiments.scenes import clouds as sites  # noqa: E402
+from experiments.scenes import measures  # noqa: E402
+from experiments.scenes import run as scenes  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
-from experiments.verdicts import run as verdicts  # noqa: E402
 from jaxfilter.methods import ost  # noqa: E402
 from jaxfilter.sweeps.ranges import RANGES, SEARCHED, Range, search_ranges  # noqa: E402
 
@@ -441,15 +442,14 @@ def test_every_study_of_a_paper_is_listed_with_its_command():
 
 def test_a_cut_says_how_far_inside_a_point_lies():
     xy = np.array([[3.0, 4.0], [0.0, 0.0], [-1.0, 20.0], [6.0, 8.0]])
-    half = cuts.Cut(False, np.zeros(2), np.arctan2(4.0, 3.0), 0.0)  # its inner side is where (3, 4) points to
-    np.testing.assert_allclose(half.inward(xy), [5.0, 0.0, 15.4, 10.0])
-    square = cuts.Cut(True, np.zeros(2), np.arctan2(4.0, 3.0), 7.0)
-    np.testing.assert_allclose(square.inward(xy), [2.0, 7.0, -8.4, -3.0])
+    turn = np.arctan2(4.0, 3.0)  # the inner side of the half plane is where (3, 4) points to
+    np.testing.assert_allclose(measures.inside(xy, np.zeros(2), turn, None), [5.0, 0.0, 15.4, 10.0])
+    np.testing.assert_allclose(measures.inside(xy, np.zeros(2), turn, 7.0), [2.0, 7.0, -8.4, -3.0])
     place = np.random.default_rng(0).uniform(0, 100, (4000, 2))
-    few, many = (cuts.drawn("a cloud", place, count) for count in (3, 6))
+    few, many = (measures.drawn("a cloud", place, count) for count in (3, 6))
     for one, other in zip(few, many[:3], strict=True):
-        np.testing.assert_array_equal(one.inward(place), other.inward(place))
-    assert all((cut.inward(place) >= 0).sum() >= cuts.LEAST for cut in many)
+        np.testing.assert_array_equal(one(place), other(place))
+    assert all((cut(place) >= 0).sum() >= measures.LEAST for cut in many)
 
 
 def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
@@ -464,79 +464,71 @@ def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
         def for_cloud(cls, cloud):
             return cls()
 
-        def __call__(self, cloud):
+        def __call__(self, cloud, workers=None):
             (x, y), (x1, y1) = cloud.xyz[:, :2].T, cloud.xyz[:, :2].max(axis=0)
             near = np.minimum.reduce([x - x.min(), y - y.min(), x1 - x, y1 - y]) < 10
             return SimpleNamespace(ground=(cloud.xyz[:, 2] > 3) == near)
 
     monkeypatch.setitem(jf.FILTERS, "fooled", Fooled)
-    east = cuts.Cut(False, np.array([40.0, 50.0]), 0.0, 0.0)
-    monkeypatch.setattr(cuts, "drawn", lambda *_: [east])
-    known = clouds.Known("level", "scenes", cloud, truth, np.ones(len(cloud), bool))
-    row = cuts.rows(known, "fooled", 1)[0]
+    monkeypatch.setattr(measures, "drawn", lambda *_: [lambda xy: xy[:, 0] - 40.0])
+    site = sites.Site("level", "scenes", cloud, truth, np.ones(len(cloud), bool))
+    row = measures.cuts(site, "fooled", Fooled()(cloud))[0]
     assert row["cells"] == 20 * 100
     assert row["off_whole"] == pytest.approx(20 * 20, abs=40)  # along the south and the north
-    assert row["spoiled"] == row["spoiled_high"] == pytest.approx(10 * 80, abs=90)
+    assert row["spoiled"] == pytest.approx(10 * 80, abs=90)
     assert row["off"] == row["off_whole"] + row["spoiled"]
-    assert row["rim_points"] == pytest.approx(2 * 40 * 200, rel=0.02)
-    assert row["spoiled_points"] == pytest.approx(2 * 20 * 160, rel=0.06)
 
 
-@pytest.mark.slow
-def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setattr(failures, "SIZES", {2.0: (110.0, 80.0)})
-    given = [
-        "all",
-        "--data",
-        str(two_samples),
-        "--out",
-        str(tmp_path),
-        "--methods",
-        "smrf",
-        "--clouds",
-        "coast",
-        "vineyard",
-    ]
-    given += ["--samples", "52", "53", "--places", "3", "--count", "4"]
-    failures.main(given)
-    table = {name: report.read_csv(tmp_path / f"{name}.csv") for name in ("measures", "cuts", "places")}
-    assert [len(rows) for rows in table.values()] == [2, 4, 6]
-    for row in table["measures"]:
-        known = failures.load(two_samples, row["cloud"])
-        result = jf.SMRF.for_cloud(known.cloud)(known.cloud)
-        total = jf.evaluate(result, known.ground, ignore=~known.scored).total
-        assert row["total"] == pytest.approx(total, rel=1e-4)  # five digits are kept
-        assert 0 <= row["off_1m"] <= row["off"] and row["border_cells"] + row["inside_cells"] == row["cells"]
+def test_clouds_have_names_of_their_own_and_know_their_halls_crests_and_water(tmp_path):
+    every = {one.name: one for one in sites.every(tmp_path)}
+    assert len(every) == len(list(sites.every(tmp_path))) > 200
+    assert {one.kind for one in every.values()} == {"scenes", "sensors", "drawn anew", "halls", "dikes", "water"}
+    pond = every["water: scene pond, density 0.5"].make().area
+    assert 1250 < pond.water.sum() < 1600 and not pond.deck.any()  # with a radius of 20 m
+    roofs = {roof: sites.hall(1.0, roof, "inside", 100) for roof in ("flat", "gable", "annex")}
+    heights = {roof: np.ptp(site.cloud.xyz[site.parts["hall"], 2]) for roof, site in roofs.items()}
+    assert min(heights, key=heights.get) == "flat"
+    assert roofs["annex"].parts["hall"].sum() > roofs["flat"].parts["hall"].sum()
+    dike = sites.dike(0.5, 3.0, 5.0, 0.5)
+    assert dike.cloud.xyz[dike.parts["crest"], 2].min() > 2.5
+
+
+def test_clouds_are_measured_once_while_labels_stay(two_samples, tmp_path, monkeypatch):
+    dike = sites.Cloud(
+        "dikes", "a dike", partial(sites.dike, 0.5, 3.0, 5.0, 0.5), [("errors", "smrf"), ("errors", "pmf")]
+    )
+    dike = dike._replace(facts={"density": 0.5, "width": 5.0, "slope": 0.5})
+    path = two_samples / "isprs" / "samp53.txt"
+    sample = sites.Cloud("samples", "samp53", partial(sites.real, path), [("places", "ost"), ("cuts", "smrf")])
+    monkeypatch.setattr(sites, "every", lambda folder: iter([dike, sample]))
+    monkeypatch.setattr(scenes, "word", lambda name: f"l{name}")
+    monkeypatch.setattr(remake, "counts", lambda name: "1 2")
+    given = ["--data", str(two_samples), "--out", str(tmp_path), "--processes", "1"]
+    scenes.main(given)
+
+    def tables():
+        return {name: report.read_csv(tmp_path / f"{name}.csv") for name in measures.MEASURES}
+
+    first = tables()
+    assert {name: len(rows) for name, rows in first.items()} == {
+        "errors": 2,
+        "cuts": measures.COUNT,
+        "places": 1,
+        "water": 0,
+    }
+    site, row = dike.make(), first["errors"][1]
+    result = jf.SMRF.for_cloud(site.cloud)(site.cloud)
+    assert row["total"] == pytest.approx(jf.evaluate(result, site.ground).total, rel=1e-4)  # five digits are kept
+    assert row["crest"] == pytest.approx(100 * result.ground[site.parts["crest"]].mean(), rel=1e-4)
+    assert 0 <= first["places"][0]["off_named"] <= first["places"][0]["off"]
     text = (tmp_path / "results.md").read_text()
-    means = {place: np.mean([row["total"] for row in table["places"] if row["place"] == place]) for place in range(3)}
-    assert f"{np.mean(list(means.values())):.2f}" in text and f"{np.std(list(means.values()), ddof=1):.3f}" in text
+    assert "### Points of a crest that are ground, %" in text and "## Named places" in text
     monkeypatch.setattr(jf.SMRF, "__call__", None)
-    failures.main(given)
-    assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
-
-
-@pytest.mark.slow
-def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setattr(failures, "SIZES", {2.0: (150.0, 110.0)})
-    monkeypatch.setattr(verdicts, "RATES", (100, 400))
-    places = ["--data", str(two_samples), "--out", str(tmp_path), "--work", str(tmp_path / "work")]
-    given = [*places, "--clouds", "coast"]
-    verdicts.main(given)
-    table = report.read_csv(tmp_path / "verdicts.csv")
-    of = {(row["order"], row["rate"]): row for row in table}
-    assert len(of) == len(table) == 12 and of["list", 400]["places"] >= of["list", 100]["places"] > 0
-    known = failures.load(two_samples, "coast 2")
-    result = jf.default_filter(known.cloud)(known.cloud)
-    before, after, edited = of["list", 0], of["list", 400], of["edited", 400]
-    total = jf.evaluate(result, known.ground, ignore=~known.scored).total
-    assert 100 * before["wrong"] / before["points"] == pytest.approx(total)
-    assert edited["wrong"] < before["wrong"] and after["off"] < before["off"]
-    assert sum(after[f"said_{word}"] for word in ("fine", "ground", "object")) == after["places"]
-    assert f"{after['off'] / before['off']:.2f}" in (tmp_path / "results.md").read_text()
-    assert (tmp_path / "verdicts.png").stat().st_size > 10_000
-    monkeypatch.setattr(jf, "default_filter", None)
-    verdicts.main(given)
-    assert report.read_csv(tmp_path / "verdicts.csv") == table
+    scenes.main(given)
+    assert tables() == first
+    monkeypatch.setattr(scenes, "word", lambda name: f"l{name}" + "2" * (name == "pmf"))
+    scenes.main(given)
+    assert [row["labels"] for row in tables()["errors"]] == ["lpmf2", "lsmrf"]
 
 
 @pytest.mark.slow

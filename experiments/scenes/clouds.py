@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import jaxfilter as jf
 from experiments.defaults.clouds import Known, tile
-from experiments.isprs import samples
 from experiments.report import Row
 from experiments.scenes import water
-from jaxfilter.scoring import reference_labels
 
 FILLED = jf.Interpolation(fill=True)
 """Every cell has a height, so that none is left out where ground was lost."""
-EVERY = tuple(jf.FILTERS)
-ERRORS, CUTS = [("errors", name) for name in EVERY], [("cuts", name) for name in ("ost", "smrf")]
+ERRORS, CUTS = [("errors", name) for name in jf.FILTERS], [("cuts", name) for name in ("ost", "smrf")]
 PLACES, WATER = [("places", "ost")], [("water", "ost")]
 """What is measured, and with which method."""
 
@@ -32,8 +29,7 @@ LAYOUTS = jf.scenes.LAYOUTS | {"jungle": JUNGLE}
 HARD = ("coast", "gorge", "benches", "vineyard", "canopy", "jungle")
 SIZES = {0.5: (400.0, 300.0), 2.0: (400.0, 300.0), 8.0: (400.0, 160.0)}
 """Extents in metres by density in pulses per square metre."""
-SEED, DRAWS = 101, (11, 12)
-"""Seeds of scenes, and those of the scenes of other sensors that were drawn after the limits of OST had been set."""
+SEED = 101
 SENSORS = {
     "image matching": (("town", "city", "hills"), 90.0, 40.0),
     "drone lidar": (("forest", "town", "hills"), 50.0, 100.0),
@@ -41,12 +37,6 @@ SENSORS = {
 }
 """Layouts of each sensor, metres along a side, and pulses or pixels per m2."""
 ROOFS, BORDERS = ("flat", "gable", "levels", "sawtooth", "annex"), ("inside", "edge", "corner")
-HALL_SIDES, HALL_SEEDS = {1.0: 260.0, 2.0: 260.0, 8.0: 200.0}, (100, 101)
-"""Metres of the scene by density in points per m2; of the random numbers, for halls along the axes and turned ones."""
-HEIGHTS, WIDTHS, SLOPES = (3.0, 8.0), (3.0, 5.0, 9.0), (0.5, 0.67, 0.8)
-"""Of dikes: metres; metres of the crest; rise over run of the sides."""
-DIKE_SIDES, AZIMUTH = {0.5: 200.0, 2.0: 160.0, 8.0: 100.0}, 0.5
-"""Metres of the scene by density in points per m2; radians."""
 NOISE = 0.03
 """Metres, standard deviation, of halls and dikes."""
 
@@ -84,34 +74,39 @@ class Cloud(NamedTuple):
 
 def every(folder: Path) -> Iterator[Cloud]:
     """All clouds. ``folder``: with isprs, tiles, tiles_hard and other_sensors."""
-    for kind, part in (("hard tiles", "tiles_hard"), ("tiles", "tiles")):
+    for kind, part in (("tiles", "tiles"), ("hard tiles", "tiles_hard")):
         for path in sorted((folder / part).glob("*.la[sz]")):
             yield Cloud(kind, path.stem, partial(labelled, kind, path), ERRORS + CUTS + PLACES + WATER)
-    for density, layout in itertools.product(sorted(SIZES), LAYOUTS):
-        measured = (ERRORS if layout in HARD else []) + (PLACES if density == 2 and layout != "jungle" else [])
-        measured += CUTS if density == 2 and layout in HARD else []
+    for density, layout in itertools.product(SIZES, LAYOUTS):
+        hard, middle = layout in HARD, density == 2
+        measured = ERRORS * hard + CUTS * (hard and middle) + PLACES * (middle and layout != "jungle")
         make = partial(scene, layout, density)
         yield Cloud("scenes", f"{layout} {density:g}", make, measured, {"density": density}, True)
     for path in sorted((folder / "other_sensors").glob("*.laz")):
-        yield Cloud("sensors", path.stem, partial(sensed, path), ERRORS)
-    for seed, sensor in itertools.product((SEED, *DRAWS), SENSORS):
-        for layout in SENSORS[sensor][0]:
-            name, make = f"{sensor}, {layout}", partial(imitated, sensor, layout, seed)
-            own = ("sensors", name) if seed == SEED else ("drawn anew", f"{name}, seed {seed}")
-            yield Cloud(*own, make, ERRORS, {"scene": name}, True)
-    for density, roof, place, seed in itertools.product(HALL_SIDES, ROOFS, BORDERS, HALL_SEEDS):
-        facts = {"density": density, "roof": roof, "place": place}
-        name = f"hall: {roof}, {place}, {density:g} per m2, seed {seed}"
-        yield Cloud("halls", name, partial(hall, density, roof, place, seed), ERRORS, facts)
-    for density, height, width, slope in itertools.product(DIKE_SIDES, HEIGHTS, WIDTHS, SLOPES):
-        facts = {"density": density, "height": height, "width": width, "slope": slope}
-        name = f"dike: {width:g} m, {slope:g}, {height:g} m high, {density:g} per m2"
-        yield Cloud("dikes", name, partial(dike, density, height, width, slope), ERRORS, facts)
-    for name, density in itertools.product(water.SCENES, water.DENSITIES):
-        facts = {"density": density, "scene": name}
-        yield Cloud("water", f"{name} {density:g}", partial(crossed, name, density), WATER, facts, True)
-    for number in samples.SAMPLES:
-        yield Cloud("samples", f"samp{number}", partial(sample, samples.sample_path(folder, number)), PLACES)
+        yield Cloud("sensors", path.stem, partial(real, path), ERRORS)
+    sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
+    yield from _each("sensors", imitated, ERRORS, True, scene=sensors, seed=(SEED,))
+    yield from _each("drawn anew", imitated, ERRORS, True, scene=sensors, seed=(11, 12))
+    yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=BORDERS, seed=(100, 101))
+    shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
+    yield from _each("dikes", dike, ERRORS, density=(0.5, 2.0, 8.0), **shapes)
+    yield from _each("water", crossed, WATER, True, scene=water.SCENES, density=water.DENSITIES)
+    for path in sorted((folder / "isprs").glob("samp*.txt")):
+        yield Cloud("samples", path.stem, partial(real, path), PLACES)
+
+
+def _each(
+    kind: str,
+    make: Callable[..., Site],
+    measured: list[tuple[str, str]],
+    simulated: bool = False,
+    **axes: Iterable[Any],
+) -> Iterator[Cloud]:
+    """A cloud for each combination of arguments of ``make``."""
+    for values in itertools.product(*axes.values()):
+        facts = dict(zip(axes, values, strict=True))
+        name = f"{kind}: {', '.join(f'{key} {value}' for key, value in facts.items())}"
+        yield Cloud(kind, name, partial(make, **facts), measured, facts, simulated)
 
 
 def load(folder: Path, name: str) -> Site:
@@ -124,27 +119,22 @@ def labelled(kind: str, path: Path) -> Site:
     return Site(**vars(tile(path.stem, kind, path)))
 
 
-def sample(path: Path) -> Site:
-    """One of the ISPRS samples."""
-    cloud = jf.read(path)
-    return Site(path.stem, "samples", cloud, *reference_labels(cloud))
-
-
 def scene(layout: str, density: float) -> Site:
     """One of :data:`LAYOUTS`, in strips of 250 m, so that rock faces are seen from both sides. Last echoes are scored."""
     made = jf.scenes.make(LAYOUTS[layout], size=SIZES[density], density=density, seed=SEED, swath=250.0)
     return Site(f"{layout} {density:g}", "scenes", made.cloud, made.truth, made.cloud.candidate)
 
 
-def imitated(sensor: str, layout: str, seed: int) -> Site:
+def imitated(scene: str, seed: int) -> Site:
     """A scene as one of :data:`SENSORS` sees it."""
+    sensor, layout = scene.split(", ")
     _, side, density = SENSORS[sensor]
     made = jf.scenes.make(layout, size=side, density=density, seed=seed, sensor=sensor)
-    return Site(f"{sensor}, {layout}", "sensors", made.cloud, made.truth, made.cloud.candidate)
+    return Site(scene, "sensors", made.cloud, made.truth, made.cloud.candidate)
 
 
-def sensed(path: Path) -> Site:
-    """A real cloud of another sensor. Class 0 is not scored where others are."""
+def real(path: Path) -> Site:
+    """A sample, or a cloud of another sensor. Class 0 is not scored where others are."""
     cloud = jf.read(path, units="m", ignore_classes=(7, 18))
     truth, beside, classes = cloud.reference, None, cloud.classification
     scored = cloud.candidate if classes is None else cloud.candidate & (classes != 0)
@@ -156,15 +146,15 @@ def sensed(path: Path) -> Site:
     return Site(path.stem, "sensors", cloud, truth, scored, beside=beside)
 
 
-def crossed(name: str, density: float) -> Site:
+def crossed(scene: str, density: float) -> Site:
     """One of the scenes with water and decks, of the seed that is only scored."""
-    place = water.place(name, density, water.CHECK)
-    return Site(name, "water", place.cloud, place.truth, place.cloud.candidate, area=place)
+    place = water.place(scene, density, water.CHECK)
+    return Site(scene, "water", place.cloud, place.truth, place.cloud.candidate, area=place)
 
 
 def hall(density: float, roof: str, place: str, seed: int) -> Site:
     """A hall of 70 to 140 m, 5.5 to 12 m high, and 60 trees, on a slope of 2 % with waves of 1.5 m."""
-    rng, side = np.random.default_rng(seed), HALL_SIDES[density]
+    rng, side = np.random.default_rng(seed), 260.0 if density < 8 else 200.0
     (wide, deep), height, turn = rng.uniform(70, 140, 2), rng.uniform(5.5, 12), rng.uniform(0, np.pi) * (seed % 2)
     x, y = rng.uniform(0, side, (2, int(side**2 * density)))
     left, low = side / 2 if place != "corner" else 0.35 * wide, side / 2 if place == "inside" else 0.35 * deep
@@ -191,20 +181,18 @@ def hall(density: float, roof: str, place: str, seed: int) -> Site:
         crown = (np.hypot(x - cx, y - cy) < 3) & ~objects & (rng.random(len(x)) < 0.8)
         z, objects = z + crown * rng.uniform(2, 8, len(x)), objects | crown
     z += rng.normal(0, NOISE, len(x))
-    return _site("halls", np.column_stack([x, y, z]), ~objects, {"hall": built})
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
+    return Site("hall", "halls", cloud, ~objects, cloud.candidate, {"hall": built})
 
 
 def dike(density: float, height: float, width: float, slope: float) -> Site:
     """A plain with waves of 0.3 m, a straight dike across it, and plants of 0.5 to 3 m on a twentieth of the points."""
-    rng, side = np.random.default_rng(7), DIKE_SIDES[density]
+    rng, side = np.random.default_rng(7), {0.5: 200.0, 2.0: 160.0, 8.0: 100.0}[density]
     x, y = rng.uniform(-side / 2, side / 2, (2, int(side**2 * density)))
-    across = np.abs(x * np.cos(AZIMUTH) + y * np.sin(AZIMUTH))
+    across = np.abs(x * np.cos(0.5) + y * np.sin(0.5))
     z = np.maximum(height - slope * np.maximum(across - width / 2, 0), 0) + 0.3 * np.sin(x / 25)
     z += rng.normal(0, NOISE, len(x))
     ground = rng.random(len(x)) >= 0.05
     z = np.where(ground, z, z + rng.uniform(0.5, 3, len(x)))
-    return _site("dikes", np.column_stack([x, y, z]), ground, {"crest": ground & (across < width / 2)})
-
-
-def _site(kind: str, xyz: np.ndarray, ground: np.ndarray, parts: dict[str, np.ndarray]) -> Site:
-    return Site(kind, kind, jf.PointCloud.from_arrays(xyz), ground, np.ones(len(xyz), bool), parts)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
+    return Site("dike", "dikes", cloud, ground, cloud.candidate, {"crest": ground & (across < width / 2)})

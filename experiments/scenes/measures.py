@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from experiments.scenes import water
 from experiments.scenes.clouds import FILLED, Site
 from jaxfilter.reports import places as named
 from jaxfilter.surveys.tiles import part_of
-from jaxfilter.terrain.accuracy import OFF, Differences, differences
+from jaxfilter.terrain.accuracy import OFF, differences
 
 COUNT, RIM = 2, 20.0
 """Cuts of a cloud; metres along a cut that are looked at."""
@@ -47,33 +47,26 @@ def errors(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
     return [row | {key: found[key] for key in FIGURES}]
 
 
-class Cut(NamedTuple):
-    """What is left of a cloud: half a plane, or a square whose half side is ``half`` metres, turned by ``turn``."""
-
-    square: bool
-    middle: np.ndarray
-    turn: float
-    half: float
-
-    def inward(self, xy: np.ndarray) -> np.ndarray:
-        """f64[n]: metres from the cut to positions f64[n, 2], negative for those that are cut off."""
-        (x, y), c, s = (xy - self.middle).T, np.cos(self.turn), np.sin(self.turn)
-        along, across = c * x + s * y, c * y - s * x
-        return self.half - np.maximum(np.abs(along), np.abs(across)) if self.square else along
-
-
-def drawn(name: str, xy: np.ndarray, count: int) -> list[Cut]:
-    """The first cuts of a cloud, the same for all methods. ``xy``: f64[n, 2]."""
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
+def drawn(name: str, xy: np.ndarray, count: int) -> list[Callable[[np.ndarray], np.ndarray]]:
+    """The first cuts of a cloud, the same for all methods: half planes and turned squares. Each gives f64[n], metres inward of
+    positions f64[n, 2], negative for those that are cut off."""
+    rng, found = np.random.default_rng(zlib.crc32(name.encode())), []
     side = min(float(np.ptp(xy, axis=0).min()), 300.0)
-    found: list[Cut] = []
     while len(found) < count:
         middle, turn, half = xy[rng.integers(len(xy))], rng.uniform(0, 2 * np.pi), side * rng.uniform(0.2, 0.4)
-        cut = Cut(bool(rng.random() < 0.5), middle, turn, half)
-        left = np.count_nonzero(cut.inward(xy) >= 0)
-        if left >= LEAST and (cut.square or SHARE[0] <= left / len(xy) <= SHARE[1]):
-            found.append(cut)
+        square = bool(rng.random() < 0.5)
+        inward = partial(inside, middle=middle, turn=turn, half=half if square else None)
+        left = np.count_nonzero(inward(xy) >= 0)
+        if left >= LEAST and (square or SHARE[0] <= left / len(xy) <= SHARE[1]):
+            found.append(inward)
     return found
+
+
+def inside(xy: np.ndarray, middle: np.ndarray, turn: float, half: float | None) -> np.ndarray:
+    """f64[n]: metres to the outline of half a plane, or of a square whose half side is ``half`` metres."""
+    (x, y), c, s = (xy - middle).T, np.cos(turn), np.sin(turn)
+    along, across = c * x + s * y, c * y - s * x
+    return along if half is None else half - np.maximum(np.abs(along), np.abs(across))
 
 
 def cuts(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
@@ -83,23 +76,18 @@ def cuts(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
     before = jf.dtm(cloud, whole, fill=True).values
     found = []
     for number, cut in enumerate(drawn(site.name, xy, COUNT)):
-        left = np.flatnonzero(cut.inward(xy) >= 0)
-        row: Row = {"cut": number, "points": len(left)}
+        left = np.flatnonzero(cut(xy) >= 0)
         part = part_of(cloud, left)
         ground = jf.FILTERS[method].for_cloud(part)(part, workers=1).ground
-        try:
-            model = jf.dtm(part, ground, fill=True)
-        except jf.InputError as error:  # hardly any ground
-            found.append(row | {"status": str(error)})
-            continue
+        model = jf.dtm(part, ground, fill=True)
         x, y = np.meshgrid(*model.centres())
-        rim = cut.inward(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+        rim = cut(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
         top, first = round(truth.transform[5] - model.transform[5]), round(model.transform[2] - truth.transform[2])
         there = np.s_[top : top + x.shape[0], first : first + x.shape[1]]
         seen = (rim > 0) & (rim <= RIM) & np.isfinite(truth.values[there])
         now, then = (np.abs(heights - truth.values[there])[seen] > FAR_OFF for heights in (model.values, before[there]))
         counts = {"off": now, "off_whole": then, "spoiled": now & ~then}
-        found.append(row | {"cells": now.size} | {key: int(values.sum()) for key, values in counts.items()})
+        found.append({"cut": number, "cells": now.size} | {key: int(values.sum()) for key, values in counts.items()})
     return found
 
 
@@ -108,27 +96,22 @@ def places(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
     some cell of 1 m in it is off by more than half a metre; those without a cell near reference ground are not judged."""
     cloud, side = site.cloud, named.SIDE / site.cloud.units.xy
     listed = named.places_of(named.suspects(cloud, result), cloud.units.xy)
-    at, size = _cells(differences(cloud, result, site.ground, 1.0 / cloud.units.xy, FILLED, near=NEAR, rim=RIM), side)
+    found = differences(cloud, result, site.ground, 1.0 / cloud.units.xy, FILLED, near=NEAR, rim=RIM)
+    row, column = np.nonzero(np.isfinite(found.metres))
+    size, grid = np.abs(found.metres[row, column]), found.grid
+    x, y = (grid.left + column + 0.5) * grid.cell, (grid.bottom + grid.rows - row - 0.5) * grid.cell
+    at = np.floor(np.stack([x, y], axis=1) / side).astype(np.int64)
     off = size > OFF
     of = {cell: k for k, place in enumerate(listed) for cell in map(tuple, place.cells.tolist())}
     place = np.array([of.get(cell, -1) for cell in map(tuple, at.tolist())], np.int64)
-    inside = place >= 0
-    judged, wrong = (np.bincount(place[inside], w, len(listed)) for w in (None, off[inside]))
+    held = place >= 0
+    judged, wrong = (np.bincount(place[held], w, len(listed)) for w in (None, off[held]))
     expected = sum(one.volume * n / one.area for one, n in zip(listed, judged.tolist(), strict=True))
     return [{
-        "cells": len(off), "off": int(off.sum()), "off_named": int(off[inside].sum()), "named": int(inside.sum()),
-        "area": sum(one.area for one in listed), "places": len(listed), "judged": int((judged > 0).sum()),
+        "off": int(off.sum()), "off_named": int(off[held].sum()), "named": int(held.sum()), "judged": int((judged > 0).sum()),
         "right": int((wrong > 0).sum()), "tenth": int(((wrong >= 0.1 * judged) & (wrong > 0)).sum()),
-        "volume": float(expected), "volume_true": float(size[inside].sum()), "first": listed[0].reason if listed else "",
+        "volume": float(expected), "volume_true": float(size[held].sum()),
     }]  # fmt: skip
-
-
-def _cells(found: Differences, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the cells that are compared: i64[k, 2], columns and rows of the cells of places that hold them, and metres off."""
-    row, column = np.nonzero(np.isfinite(found.metres))
-    grid = found.grid
-    x, y = (grid.left + column + 0.5) * grid.cell, (grid.bottom + grid.rows - row - 0.5) * grid.cell
-    return np.floor(np.stack([x, y], axis=1) / side).astype(np.int64), np.abs(found.metres[row, column])
 
 
 def areas(site: Site, method: str, result: jf.FilterResult) -> list[Row]:

@@ -62,7 +62,6 @@ class Place:
         spacing: metres, of its pulses.
     """
 
-    name: str
     cloud: jf.PointCloud
     truth: np.ndarray
     x: np.ndarray
@@ -93,7 +92,7 @@ def place(name: str, density: float, seed: int, side: float = SIDE) -> Place:
     known = water | (cKDTree(scene.xyz[inside, :2]).query(np.c_[gx, gy])[0] < 3)
     terrain = np.where(water, level, scene.terrain(gx, gy))
     arrays = (v[known] for v in (gx, gy, water & ~deck, deck, terrain))
-    return Place(name, cloud, scene.truth[inside], *arrays, density**-0.5)
+    return Place(cloud, scene.truth[inside], *arrays, density**-0.5)
 
 
 def _middle(layout: jf.scenes.SceneLayout, seed: int, name: str) -> tuple[float, float]:
