@@ -23,8 +23,6 @@ PLACES, WATER = [("places", "ost")], [("water", "ost")]
 """What is measured, and with which method."""
 
 JUNGLE = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.6, forest=0.95, penetration=0.01)
-"""Forest on a slope of 31 degrees: of the pulses that meet a crown a hundredth reaches the ground. OST's rule for seeds on plants
-was found on such forests of other seeds; its part for sparse clouds with this one in view."""
 LAYOUTS = jf.scenes.LAYOUTS | {"jungle": JUNGLE}
 HARD = ("coast", "gorge", "benches", "vineyard", "canopy", "jungle")
 SIZES = {0.5: (400.0, 300.0), 2.0: (400.0, 300.0), 8.0: (400.0, 160.0)}
@@ -36,9 +34,7 @@ SENSORS = {
     "mobile": (("town", "city", "hills"), 100.0, 30.0),
 }
 """Layouts of each sensor, metres along a side, and pulses or pixels per m2."""
-ROOFS, BORDERS = ("flat", "gable", "levels", "sawtooth", "annex"), ("inside", "edge", "corner")
-NOISE = 0.03
-"""Metres, standard deviation, of halls and dikes."""
+ROOFS = ("flat", "gable", "levels", "sawtooth", "annex")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,28 +81,25 @@ def every(folder: Path) -> Iterator[Cloud]:
     for path in sorted((folder / "other_sensors").glob("*.laz")):
         yield Cloud("sensors", path.stem, partial(real, path), ERRORS)
     sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
-    yield from _each("sensors", imitated, ERRORS, True, scene=sensors, seed=(SEED,))
-    yield from _each("drawn anew", imitated, ERRORS, True, scene=sensors, seed=(11, 12))
-    yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=BORDERS, seed=(100, 101))
+    yield from _each("sensors", imitated, ERRORS, scene=sensors, seed=(SEED,))
+    yield from _each("drawn anew", imitated, ERRORS, scene=sensors, seed=(11, 12))
+    places = ("inside", "edge", "corner")
+    yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=places, seed=(100, 101))
     shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
     yield from _each("dikes", dike, ERRORS, density=(0.5, 2.0, 8.0), **shapes)
-    yield from _each("water", crossed, WATER, True, scene=water.SCENES, density=water.DENSITIES)
+    yield from _each("water", crossed, WATER, scene=water.SCENES, density=SIZES)
     for path in sorted((folder / "isprs").glob("samp*.txt")):
         yield Cloud("samples", path.stem, partial(real, path), PLACES)
 
 
 def _each(
-    kind: str,
-    make: Callable[..., Site],
-    measured: list[tuple[str, str]],
-    simulated: bool = False,
-    **axes: Iterable[Any],
+    kind: str, make: Callable[..., Site], measured: list[tuple[str, str]], **axes: Iterable[Any]
 ) -> Iterator[Cloud]:
     """A cloud for each combination of arguments of ``make``."""
     for values in itertools.product(*axes.values()):
         facts = dict(zip(axes, values, strict=True))
         name = f"{kind}: {', '.join(f'{key} {value}' for key, value in facts.items())}"
-        yield Cloud(kind, name, partial(make, **facts), measured, facts, simulated)
+        yield Cloud(kind, name, partial(make, **facts), measured, facts, "scene" in facts)
 
 
 def load(folder: Path, name: str) -> Site:
@@ -180,7 +173,7 @@ def hall(density: float, roof: str, place: str, seed: int) -> Site:
     for cx, cy in rng.uniform(0, side, (60, 2)):
         crown = (np.hypot(x - cx, y - cy) < 3) & ~objects & (rng.random(len(x)) < 0.8)
         z, objects = z + crown * rng.uniform(2, 8, len(x)), objects | crown
-    z += rng.normal(0, NOISE, len(x))
+    z += rng.normal(0, 0.03, len(x))
     cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
     return Site("hall", "halls", cloud, ~objects, cloud.candidate, {"hall": built})
 
@@ -191,7 +184,7 @@ def dike(density: float, height: float, width: float, slope: float) -> Site:
     x, y = rng.uniform(-side / 2, side / 2, (2, int(side**2 * density)))
     across = np.abs(x * np.cos(0.5) + y * np.sin(0.5))
     z = np.maximum(height - slope * np.maximum(across - width / 2, 0), 0) + 0.3 * np.sin(x / 25)
-    z += rng.normal(0, NOISE, len(x))
+    z += rng.normal(0, 0.03, len(x))
     ground = rng.random(len(x)) >= 0.05
     z = np.where(ground, z, z + rng.uniform(0.5, 3, len(x)))
     cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))

@@ -22,7 +22,6 @@ FAR_OFF, NEAR = 1.0, 3.0
 """Metres that a cell at a cut is off by, and metres from ground of the reference within which cells count."""
 LEAST, SHARE = 1000, (0.2, 0.9)
 """Points, and shares of the points, that are left by a cut."""
-CLASSES = {"water": 9, "deck": 17}
 FIGURES = ("rmse", "p95", "off", "off_1m", "low", "high_1m", "low_1m", "border_off_1m", "inside_off_1m")
 """Of terrain errors, those that are kept."""
 
@@ -119,7 +118,7 @@ def areas(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
     surface to hold it to). Of tiles how many points have classes 9 and 17, how many are marked, and how many are both."""
     row: Row = {}
     if (place := site.area) is None:
-        for name, number in CLASSES.items():
+        for name, number in (("water", 9), ("deck", 17)):
             own, marked = site.cloud.classification == number, getattr(result, name)
             row |= {f"{name}_points": int(own.sum()), f"{name}_marked": int(marked.sum())}
             row[f"{name}_both"] = int((marked & own).sum())

@@ -14,7 +14,6 @@ from jaxfilter.scenes.terrain import BRIDGE_AT, BRIDGE_PERIOD, PERIOD, Terrain
 
 CHECK = 12
 """The seed: scenes of seed 11 were looked at while the rules of OST were chosen, and these were only scored."""
-DENSITIES = (0.5, 2.0, 8.0)
 SIDE = 200.0
 """Metres along a side of what is cut out of a scene."""
 _LAND: dict[str, Any] = {
