@@ -337,6 +337,9 @@ def test_clouds_are_measured_once_while_labels_stay(two_samples, tmp_path, monke
     monkeypatch.setattr(jf.SMRF, "__call__", None)
     scenes.main(given)
     assert tables() == first
+    monkeypatch.setattr(scenes, "word", lambda name: f"l{name}" + "2" * (name == "pmf"))
+    scenes.main(given)
+    assert [row["labels"] for row in tables()["errors"]] == ["lpmf2", "lsmrf"]
 
 
 @pytest.mark.slow
