@@ -2,6 +2,7 @@
 
 import statistics
 import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,12 +19,12 @@ from experiments.bench import ops as bench_ops  # noqa: E402
 from experiments.benchmark import run as benchmark  # noqa: E402
 from experiments.default import flat  # noqa: E402
 from experiments.default import run as default_run  # noqa: E402
-from experiments.defaults import clouds  # noqa: E402
-from experiments.failures import cuts  # noqa: E402
-from experiments.failures import run as failures  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import li2021, paper, ppdf2023, stin2024  # noqa: E402
+from experiments.scenes import clouds as sites  # noqa: E402
+from experiments.scenes import measures  # noqa: E402
+from experiments.scenes import run as scenes  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from jaxfilter.methods import ost  # noqa: E402
 from jaxfilter.sweeps.ranges import search_ranges  # noqa: E402
@@ -252,15 +253,14 @@ def test_smrf_taken_apart_for_the_ablations_is_smrf(rng):
 
 def test_a_cut_says_how_far_inside_a_point_lies():
     xy = np.array([[3.0, 4.0], [0.0, 0.0], [-1.0, 20.0], [6.0, 8.0]])
-    half = cuts.Cut(False, np.zeros(2), np.arctan2(4.0, 3.0), 0.0)  # its inner side is where (3, 4) points to
-    np.testing.assert_allclose(half.inward(xy), [5.0, 0.0, 15.4, 10.0])
-    square = cuts.Cut(True, np.zeros(2), np.arctan2(4.0, 3.0), 7.0)
-    np.testing.assert_allclose(square.inward(xy), [2.0, 7.0, -8.4, -3.0])
+    turn = np.arctan2(4.0, 3.0)  # the inner side of the half plane is where (3, 4) points to
+    np.testing.assert_allclose(measures.inside(xy, np.zeros(2), turn, None), [5.0, 0.0, 15.4, 10.0])
+    np.testing.assert_allclose(measures.inside(xy, np.zeros(2), turn, 7.0), [2.0, 7.0, -8.4, -3.0])
     place = np.random.default_rng(0).uniform(0, 100, (4000, 2))
-    few, many = (cuts.drawn("a cloud", place, count) for count in (3, 6))
+    few, many = (measures.drawn("a cloud", place, count) for count in (3, 6))
     for one, other in zip(few, many[:3], strict=True):
-        np.testing.assert_array_equal(one.inward(place), other.inward(place))
-    assert all((cut.inward(place) >= 0).sum() >= cuts.LEAST for cut in many)
+        np.testing.assert_array_equal(one(place), other(place))
+    assert all((cut(place) >= 0).sum() >= measures.LEAST for cut in many)
 
 
 def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
@@ -275,55 +275,71 @@ def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
         def for_cloud(cls, cloud):
             return cls()
 
-        def __call__(self, cloud):
+        def __call__(self, cloud, workers=None):
             (x, y), (x1, y1) = cloud.xyz[:, :2].T, cloud.xyz[:, :2].max(axis=0)
             near = np.minimum.reduce([x - x.min(), y - y.min(), x1 - x, y1 - y]) < 10
             return SimpleNamespace(ground=(cloud.xyz[:, 2] > 3) == near)
 
     monkeypatch.setitem(jf.FILTERS, "fooled", Fooled)
-    east = cuts.Cut(False, np.array([40.0, 50.0]), 0.0, 0.0)
-    monkeypatch.setattr(cuts, "drawn", lambda *_: [east])
-    known = clouds.Known("level", "scenes", cloud, truth, np.ones(len(cloud), bool))
-    row = cuts.rows(known, "fooled", 1)[0]
+    monkeypatch.setattr(measures, "drawn", lambda *_: [lambda xy: xy[:, 0] - 40.0])
+    site = sites.Site("level", "scenes", cloud, truth, np.ones(len(cloud), bool))
+    row = measures.cuts(site, "fooled", Fooled()(cloud))[0]
     assert row["cells"] == 20 * 100
     assert row["off_whole"] == pytest.approx(20 * 20, abs=40)  # along the south and the north
-    assert row["spoiled"] == row["spoiled_high"] == pytest.approx(10 * 80, abs=90)
+    assert row["spoiled"] == pytest.approx(10 * 80, abs=90)
     assert row["off"] == row["off_whole"] + row["spoiled"]
-    assert row["rim_points"] == pytest.approx(2 * 40 * 200, rel=0.02)
-    assert row["spoiled_points"] == pytest.approx(2 * 20 * 160, rel=0.06)
 
 
-@pytest.mark.slow
-def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setattr(failures, "SIZES", {2.0: (110.0, 80.0)})
-    given = [
-        "all",
-        "--data",
-        str(two_samples),
-        "--out",
-        str(tmp_path),
-        "--methods",
-        "smrf",
-        "--clouds",
-        "coast",
-        "vineyard",
-    ]
-    given += ["--samples", "52", "53", "--places", "3", "--count", "4"]
-    failures.main(given)
-    table = {name: report.read_csv(tmp_path / f"{name}.csv") for name in ("measures", "cuts", "places")}
-    assert [len(rows) for rows in table.values()] == [2, 4, 6]
-    for row in table["measures"]:
-        known = failures.load(two_samples, row["cloud"])
-        result = jf.SMRF.for_cloud(known.cloud)(known.cloud)
-        total = jf.evaluate(result, known.ground, ignore=~known.scored).total
-        assert row["total"] == pytest.approx(total, rel=1e-4)  # five digits are kept
-        assert 0 <= row["off_1m"] <= row["off"] and row["border_cells"] + row["inside_cells"] == row["cells"]
+def test_clouds_have_names_of_their_own_and_know_their_halls_crests_and_water(tmp_path):
+    every = {one.name: one for one in sites.every(tmp_path)}
+    assert len(every) == len(list(sites.every(tmp_path))) > 200
+    assert {one.kind for one in every.values()} == {"scenes", "sensors", "drawn anew", "halls", "dikes", "water"}
+    pond = every["water: scene pond, density 0.5"].make().area
+    assert 1250 < pond.water.sum() < 1600 and not pond.deck.any()  # with a radius of 20 m
+    roofs = {roof: sites.hall(1.0, roof, "inside", 100) for roof in ("flat", "gable", "annex")}
+    heights = {roof: np.ptp(site.cloud.xyz[site.parts["hall"], 2]) for roof, site in roofs.items()}
+    assert min(heights, key=heights.get) == "flat"
+    assert roofs["annex"].parts["hall"].sum() > roofs["flat"].parts["hall"].sum()
+    dike = sites.dike(0.5, 3.0, 5.0, 0.5)
+    assert dike.cloud.xyz[dike.parts["crest"], 2].min() > 2.5
+
+
+def test_clouds_are_measured_once_while_labels_stay(two_samples, tmp_path, monkeypatch):
+    dike = sites.Cloud(
+        "dikes", "a dike", partial(sites.dike, 0.5, 3.0, 5.0, 0.5), [("errors", "smrf"), ("errors", "pmf")]
+    )
+    dike = dike._replace(facts={"density": 0.5, "width": 5.0, "slope": 0.5})
+    path = two_samples / "isprs" / "samp53.txt"
+    sample = sites.Cloud("samples", "samp53", partial(sites.real, path), [("places", "ost"), ("cuts", "smrf")])
+    monkeypatch.setattr(sites, "every", lambda folder: iter([dike, sample]))
+    monkeypatch.setattr(scenes, "word", lambda name: f"l{name}")
+    monkeypatch.setattr(remake, "counts", lambda name: "1 2")
+    given = ["--data", str(two_samples), "--out", str(tmp_path), "--processes", "1"]
+    scenes.main(given)
+
+    def tables():
+        return {name: report.read_csv(tmp_path / f"{name}.csv") for name in measures.MEASURES}
+
+    first = tables()
+    assert {name: len(rows) for name, rows in first.items()} == {
+        "errors": 2,
+        "cuts": measures.COUNT,
+        "places": 1,
+        "water": 0,
+    }
+    site, row = dike.make(), first["errors"][1]
+    result = jf.SMRF.for_cloud(site.cloud)(site.cloud)
+    assert row["total"] == pytest.approx(jf.evaluate(result, site.ground).total, rel=1e-4)  # five digits are kept
+    assert row["crest"] == pytest.approx(100 * result.ground[site.parts["crest"]].mean(), rel=1e-4)
+    assert 0 <= first["places"][0]["off_named"] <= first["places"][0]["off"]
     text = (tmp_path / "results.md").read_text()
-    means = {place: np.mean([row["total"] for row in table["places"] if row["place"] == place]) for place in range(3)}
-    assert f"{np.mean(list(means.values())):.2f}" in text and f"{np.std(list(means.values()), ddof=1):.3f}" in text
+    assert "### Points of a crest that are ground, %" in text and "## Named places" in text
     monkeypatch.setattr(jf.SMRF, "__call__", None)
-    failures.main(given)
-    assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
+    scenes.main(given)
+    assert tables() == first
+    monkeypatch.setattr(scenes, "word", lambda name: f"l{name}" + "2" * (name == "pmf"))
+    scenes.main(given)
+    assert [row["labels"] for row in tables()["errors"]] == ["lpmf2", "lsmrf"]
 
 
 @pytest.mark.slow

@@ -27,11 +27,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.defaults.clouds import Known
-from experiments.failures.run import FILLED, load
 from experiments.isprs import samples
 from experiments.remake import word
 from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
-from experiments.water import scenes
+from experiments.scenes import water as scenes
+from experiments.scenes.clouds import FILLED, load
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.steps.sensors import DRONE, MATCHING
 from jaxfilter.surveys.tiles import part_of
@@ -45,7 +45,7 @@ TILES = "geo1101_Biesbosch_manual", "geo1101_Delft_manual", "ign_77050_627755", 
 HARD = "ign_mnx_corse", "lidrtut_atlantic"
 LAYOUTS = "coast", "gorge", "benches", "vineyard", "canopy"
 CROSSED = "road over river", "viaduct", "footbridge", "lake with an islet", "boats, reeds and a weir", "town"
-"""Of ``experiments/water/scenes.py``, by the seed that is only scored there."""
+"""Of ``experiments/scenes/water.py``."""
 SENSED = ((MATCHING, "town", 60.0, 40.0), (MATCHING, "hills", 60.0, 40.0), (DRONE, "forest", 35.0, 100.0))
 """Sensor, layout, side in metres, and points per square metre."""
 SIDE = 120.0

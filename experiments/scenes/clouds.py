@@ -1,0 +1,191 @@
+"""All clouds: tiles and scenes, what is known of each, and what is measured on it with which methods."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import jaxfilter as jf
+from experiments.defaults.clouds import Known, tile
+from experiments.report import Row
+from experiments.scenes import water
+
+FILLED = jf.Interpolation(fill=True)
+"""Every cell has a height, so that none is left out where ground was lost."""
+ERRORS, CUTS = [("errors", name) for name in jf.FILTERS], [("cuts", name) for name in ("ost", "smrf")]
+PLACES, WATER = [("places", "ost")], [("water", "ost")]
+"""What is measured, and with which method."""
+
+JUNGLE = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.6, forest=0.95, penetration=0.01)
+LAYOUTS = jf.scenes.LAYOUTS | {"jungle": JUNGLE}
+HARD = ("coast", "gorge", "benches", "vineyard", "canopy", "jungle")
+SIZES = {0.5: (400.0, 300.0), 2.0: (400.0, 300.0), 8.0: (400.0, 160.0)}
+"""Extents in metres by density in pulses per square metre."""
+SEED = 101
+SENSORS = {
+    "image matching": (("town", "city", "hills"), 90.0, 40.0),
+    "drone lidar": (("forest", "town", "hills"), 50.0, 100.0),
+    "mobile": (("town", "city", "hills"), 100.0, 30.0),
+}
+"""Layouts of each sensor, metres along a side, and pulses or pixels per m2."""
+ROOFS = ("flat", "gable", "levels", "sawtooth", "annex")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Site(Known):
+    """A cloud, and more that is known of it than its ground (nowhere True if that is not known).
+
+    Attributes:
+        parts: bool[n] by name, points of which the share that becomes ground is looked at.
+        beside: f64[k, 3], ground of another survey, file units, against which the terrain is held.
+        area: where water and decks are.
+    """
+
+    parts: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    beside: np.ndarray | None = None
+    area: water.Place | None = None
+
+
+class Cloud(NamedTuple):
+    """A cloud before it is read or made.
+
+    Attributes:
+        name: unlike that of all others. measured: measures and methods. facts: by which means are taken.
+        simulated: it is a scene of the library, and another one if the simulator changes.
+    """
+
+    kind: str
+    name: str
+    make: Callable[[], Site]
+    measured: list[tuple[str, str]]
+    facts: Row = {}  # noqa: RUF012
+    simulated: bool = False
+
+
+def every(folder: Path) -> Iterator[Cloud]:
+    """All clouds. ``folder``: with isprs, tiles, tiles_hard and other_sensors."""
+    for kind, part in (("tiles", "tiles"), ("hard tiles", "tiles_hard")):
+        for path in sorted((folder / part).glob("*.la[sz]")):
+            yield Cloud(kind, path.stem, partial(labelled, kind, path), ERRORS + CUTS + PLACES + WATER)
+    for density, layout in itertools.product(SIZES, LAYOUTS):
+        hard, middle = layout in HARD, density == 2
+        measured = ERRORS * hard + CUTS * (hard and middle) + PLACES * (middle and layout != "jungle")
+        make = partial(scene, layout, density)
+        yield Cloud("scenes", f"{layout} {density:g}", make, measured, {"density": density}, True)
+    for path in sorted((folder / "other_sensors").glob("*.laz")):
+        yield Cloud("sensors", path.stem, partial(real, path), ERRORS)
+    sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
+    yield from _each("sensors", imitated, ERRORS, scene=sensors, seed=(SEED,))
+    yield from _each("drawn anew", imitated, ERRORS, scene=sensors, seed=(11, 12))
+    places = ("inside", "edge", "corner")
+    yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=places, seed=(100, 101))
+    shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
+    yield from _each("dikes", dike, ERRORS, density=(0.5, 2.0, 8.0), **shapes)
+    yield from _each("water", crossed, WATER, scene=water.SCENES, density=SIZES)
+    for path in sorted((folder / "isprs").glob("samp*.txt")):
+        yield Cloud("samples", path.stem, partial(real, path), PLACES)
+
+
+def _each(
+    kind: str, make: Callable[..., Site], measured: list[tuple[str, str]], **axes: Iterable[Any]
+) -> Iterator[Cloud]:
+    """A cloud for each combination of arguments of ``make``."""
+    for values in itertools.product(*axes.values()):
+        facts = dict(zip(axes, values, strict=True))
+        name = f"{kind}: {', '.join(f'{key} {value}' for key, value in facts.items())}"
+        yield Cloud(kind, name, partial(make, **facts), measured, facts, "scene" in facts)
+
+
+def load(folder: Path, name: str) -> Site:
+    """The cloud of this name."""
+    return next(cloud for cloud in every(folder) if cloud.name == name).make()
+
+
+def labelled(kind: str, path: Path) -> Site:
+    """A labelled tile."""
+    return Site(**vars(tile(path.stem, kind, path)))
+
+
+def scene(layout: str, density: float) -> Site:
+    """One of :data:`LAYOUTS`, in strips of 250 m, so that rock faces are seen from both sides. Last echoes are scored."""
+    made = jf.scenes.make(LAYOUTS[layout], size=SIZES[density], density=density, seed=SEED, swath=250.0)
+    return Site(f"{layout} {density:g}", "scenes", made.cloud, made.truth, made.cloud.candidate)
+
+
+def imitated(scene: str, seed: int) -> Site:
+    """A scene as one of :data:`SENSORS` sees it."""
+    sensor, layout = scene.split(", ")
+    _, side, density = SENSORS[sensor]
+    made = jf.scenes.make(layout, size=side, density=density, seed=seed, sensor=sensor)
+    return Site(scene, "sensors", made.cloud, made.truth, made.cloud.candidate)
+
+
+def real(path: Path) -> Site:
+    """A sample, or a cloud of another sensor. Class 0 is not scored where others are."""
+    cloud = jf.read(path, units="m", ignore_classes=(7, 18))
+    truth, beside, classes = cloud.reference, None, cloud.classification
+    scored = cloud.candidate if classes is None else cloud.candidate & (classes != 0)
+    if truth is None or not truth.any():
+        truth, scored = np.zeros(len(cloud), bool), cloud.candidate
+    if path.stem == "spanner_UAS":
+        other = jf.read(path.with_stem("spanner_ALS"), units="m")
+        beside = other.coordinates()[other.reference & other.candidate]
+    return Site(path.stem, "sensors", cloud, truth, scored, beside=beside)
+
+
+def crossed(scene: str, density: float) -> Site:
+    """One of the scenes with water and decks, of the seed that is only scored."""
+    place = water.place(scene, density, water.CHECK)
+    return Site(scene, "water", place.cloud, place.truth, place.cloud.candidate, area=place)
+
+
+def hall(density: float, roof: str, place: str, seed: int) -> Site:
+    """A hall of 70 to 140 m, 5.5 to 12 m high, and 60 trees, on a slope of 2 % with waves of 1.5 m."""
+    rng, side = np.random.default_rng(seed), 260.0 if density < 8 else 200.0
+    (wide, deep), height, turn = rng.uniform(70, 140, 2), rng.uniform(5.5, 12), rng.uniform(0, np.pi) * (seed % 2)
+    x, y = rng.uniform(0, side, (2, int(side**2 * density)))
+    left, low = side / 2 if place != "corner" else 0.35 * wide, side / 2 if place == "inside" else 0.35 * deep
+    along = (x - left) * np.cos(turn) + (y - low) * np.sin(turn)
+    across = (y - low) * np.cos(turn) - (x - left) * np.sin(turn)
+
+    def terrain(x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+        return np.asarray(0.02 * x + 1.5 * np.sin(np.divide(x, 60)) * np.cos(np.divide(y, 45)))
+
+    z, top = terrain(x, y), terrain(left, low) + height
+    if roof == "gable":
+        top = top + 0.12 * (deep / 2 - np.abs(across))
+    elif roof == "levels":
+        top = top + np.floor(along / 12) % 2
+    elif roof == "sawtooth":
+        top = top + 0.25 * (along % 10)
+    built = (np.abs(along) < wide / 2) & (np.abs(across) < deep / 2)
+    z = np.where(built, top, z)
+    if roof == "annex":
+        beside = (np.abs(along - wide / 2 - 6) < 6) & (np.abs(across) < deep / 3)
+        z, built = np.where(beside & ~built, terrain(left, low) + 3.5, z), built | beside
+    objects = built.copy()
+    for cx, cy in rng.uniform(0, side, (60, 2)):
+        crown = (np.hypot(x - cx, y - cy) < 3) & ~objects & (rng.random(len(x)) < 0.8)
+        z, objects = z + crown * rng.uniform(2, 8, len(x)), objects | crown
+    z += rng.normal(0, 0.03, len(x))
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
+    return Site("hall", "halls", cloud, ~objects, cloud.candidate, {"hall": built})
+
+
+def dike(density: float, height: float, width: float, slope: float) -> Site:
+    """A plain with waves of 0.3 m, a straight dike across it, and plants of 0.5 to 3 m on a twentieth of the points."""
+    rng, side = np.random.default_rng(7), {0.5: 200.0, 2.0: 160.0, 8.0: 100.0}[density]
+    x, y = rng.uniform(-side / 2, side / 2, (2, int(side**2 * density)))
+    across = np.abs(x * np.cos(0.5) + y * np.sin(0.5))
+    z = np.maximum(height - slope * np.maximum(across - width / 2, 0), 0) + 0.3 * np.sin(x / 25)
+    z += rng.normal(0, 0.03, len(x))
+    ground = rng.random(len(x)) >= 0.05
+    z = np.where(ground, z, z + rng.uniform(0.5, 3, len(x)))
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
+    return Site("dike", "dikes", cloud, ground, cloud.candidate, {"crest": ground & (across < width / 2)})
