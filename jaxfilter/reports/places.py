@@ -34,7 +34,7 @@ LIKELY = 0.06
 LEAST = 40.0
 """Square metres that a place has at least."""
 MODEL = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
-"""f64[2, 5]: constant and weights of :func:`evidence`, for results with doubt and without (experiments/failures)."""
+"""f64[2, 5]: constant and weights of :func:`evidence`, for results with doubt and without; fitted to tiles and scenes."""
 REACH = 30.0
 """Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
 STEP = 0.7
