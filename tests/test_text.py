@@ -49,7 +49,7 @@ def cells_of(content, delimiter):
     return [[cell.strip(" \t") for cell in line] for line in lines]
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(drawn=st.data(), cut=st.booleans(), block=st.sampled_from([1, 50, 10**6]))
 def test_only_labels_change(drawn, cut, block):
     pick = lambda values: drawn.draw(st.sampled_from(values))  # noqa: E731
