@@ -112,28 +112,6 @@ def test_only_classes_of_candidates_change(tmp_path, point_format, version, suff
         assert point_format > 5 or not ((old ^ new) & 0xE0).any()
 
 
-def test_what_laspy_would_not_keep(tmp_path):
-    """Odd bytes in text fields, a creation day 0, data after header and records: LAS to LAZ and back."""
-    source = tmp_path / "in.las"
-    make_las(source, 3)
-    content = source.read_bytes()
-    offset = struct.unpack_from("<I", content, 96)[0]
-    head = bytearray(content[:227] + b"after the header" + content[227:offset] + b"\xdd\xcc gap")
-    struct.pack_into("<32sHHHI", head, 58, b"caf\xe9 \xff", 0, 0, 227 + 16, len(head))
-    struct.pack_into("<H", head, 227 + 16, 0xAABB)  # the signature of LAS 1.0 records
-    source.write_bytes(bytes(head) + content[offset:] + b"trailing bytes")
-    cloud = read(source)
-    result = result_of(cloud)
-    write(tmp_path / "direct.las", cloud, result)
-    write(tmp_path / "packed.laz", cloud, result)
-    direct, packed = (tmp_path / "direct.las").read_bytes(), tmp_path / "packed.laz"
-    assert direct[: offset + 16 + 6] == bytes(head) and direct.endswith(b"trailing bytes")
-    assert packed.read_bytes()[:94] == bytes(head[:94])
-    again = read(packed)
-    write(tmp_path / "unpacked.las", again, result)
-    assert (tmp_path / "unpacked.las").read_bytes() == direct.removesuffix(b"trailing bytes")
-
-
 @pytest.mark.parametrize("point_format", [4, 5, 9, 10])
 def test_wave_packets_are_written_for_laszip(tmp_path, point_format):
     """In the versions of LASzip itself: WAVEPACKET13 (9) in 1, WAVEPACKET14 (13) in 3."""

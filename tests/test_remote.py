@@ -11,7 +11,7 @@ import tempfile
 import fsspec
 import numpy as np
 import pytest
-from las_files import OFFSETS, las_of, make_copc, make_deep_copc, make_las
+from las_files import OFFSETS, las_of, make_copc, make_las
 from servers import Faulty, RangeServer
 from test_cli_runs import run
 from test_places import ROOF, field
@@ -36,20 +36,6 @@ def quick(monkeypatch):
 def server(tmp_path):
     with RangeServer(tmp_path) as server:
         yield server
-
-
-@pytest.mark.slow
-def test_a_hundredth_of_a_copc_file_costs_three_hundredths_of_its_bytes(tmp_path, server):
-    path = tmp_path / "in.copc.laz"
-    make_deep_copc(path, 6, 500)
-    low = OFFSETS[:2] + [31.3, 62.6]
-    box = (*low, *(low + 10.0))  # of 100 x 100
-    source = jf.open(f"{server.url}/in.copc.laz")[0]
-    assert (source.format, source.count) == ("copc", 1365 * 500)
-    window = read_window(source, box)
-    assert server.sent <= 0.03 * path.stat().st_size
-    assert len(window.record) > 0.008 * source.count
-    assert_is_mask(window, path, box)
 
 
 @pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz"])
@@ -353,27 +339,6 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     with pytest.raises(jf.OutputError, match=r"all\.tif: the file exists"):
         model(target, refused, work=work)
     assert refused.calls == []
-
-
-@pytest.mark.slow
-def test_products_into_an_object_store(tmp_path, bucket, west_and_east):
-    """The files that a local folder has, byte for byte; the page has no pictures of what is elsewhere."""
-    only = ["hillshade", "voids", "contours"]
-
-    def into_store(out, **how):
-        return jf.products(west_and_east, out, PMF, only=only, run=options(**how))
-
-    assert into_store(tmp_path / "local").complete
-    with pytest.raises(jf.ParameterError, match="pass work="):
-        into_store("s3://surveys/products")
-    assert into_store("s3://surveys/products", work=tmp_path / "work").complete
-    bucket.invalidate_cache()
-    names = [f"classified/{side}.laz" for side in ("east", "west")] + ["hillshade.tif", "voids.tif", "contours.gpkg"]
-    for name in names:
-        assert bucket.cat_file(f"surveys/products/{name}") == (tmp_path / "local" / name).read_bytes(), name
-    assert b'href="voids.tif"' in bucket.cat_file("surveys/products/survey.html")
-    with pytest.raises(jf.OutputError, match=r"products/hillshade\.tif: the file exists"):
-        into_store("s3://surveys/products", work=tmp_path / "work")
 
 
 def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):

@@ -434,49 +434,6 @@ def test_hard_links_in_the_folder_of_a_run_change_nothing_elsewhere(survey, tmp_
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
 
 
-def test_nothing_elsewhere_is_lost_whenever_a_link_takes_the_place_of_the_folder(
-    survey, tmp_path, elsewhere, monkeypatch
-):
-    """It is put there before the first call that names the folder or what lies in it, before the second, and so on."""
-    folder, content = elsewhere
-    before, calls = content(), ("lstat", "mkdir", "open", "scandir", "unlink", "rmdir", "replace")
-    for last in range(400):
-        d = tmp_path / f"d{last}"
-        place, met = d / ".out.laz.jaxfilter-run", []
-        shutil.copytree(folder, place)
-        place.chmod(0o700)  # what a killed run has left
-
-        def swapped(call, place=place, met=met, last=last):
-            original = getattr(os, call)
-
-            def shim(*arguments, **options):
-                if arguments and not isinstance(arguments[0], int) and str(place) in os.fspath(arguments[0]):
-                    met.append(call)
-                    if len(met) == last + 1 and os.path.isdir(place):
-                        os.rename(place, place.with_name("aside"))
-                        os.symlink(folder, place)
-                return original(*arguments, **options)
-
-            monkeypatch.setattr(os, call, shim)
-
-        for call in calls:
-            swapped(call)
-        try:
-            jf.ground(survey / "west.las", d / "out.laz", PMF, run=jf.RunOptions(overwrite=True, workers=1))
-        except (jf.OutputError, jf.InputError) as error:
-            assert str(place) in str(error)
-        finally:
-            monkeypatch.undo()
-        now = content()
-        assert {name: now.get(name, ())[:1] for name in before} == {name: before[name][:1] for name in before}, met[-1]
-        if len(met) <= last:
-            break
-        for name in now.keys() - before.keys():
-            assert not name.endswith(".laz")
-        shutil.rmtree(d)
-    assert 10 < last < 399
-
-
 def test_a_disk_that_knows_one_owner_only_is_no_reason_to_refuse(survey, tmp_path, monkeypatch):
     """There everything that is made belongs to somebody else, also what this run makes."""
     if not hasattr(os, "getuid"):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import json
 import multiprocessing
 import os
-import pickle
 import re
 import shutil
 import struct
@@ -21,10 +19,9 @@ from las_files import las_of
 
 import jaxfilter as jf
 from jaxfilter.plots import footprints
-from jaxfilter.surveys import dask, tiles
-from jaxfilter.surveys.dask import Cluster
-from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
+from jaxfilter.surveys import tiles
+from jaxfilter.surveys.executors import Outcome, Pool, attempt
+from jaxfilter.surveys.plan import POINTS, WHOLE, plan_tiles
 from jaxfilter.surveys.product import do_tile
 from jaxfilter.surveys.report import RunReport
 from jaxfilter.surveys.targets import target_names
@@ -574,76 +571,6 @@ def test_options_of_runs_are_checked():
             jf.RunOptions(**wrong)
 
 
-class Scheduler:
-    """What a client of Dask does with one thread: bundles are done when they are submitted, but for the ``deadly`` ones."""
-
-    def __init__(self, deadly=lambda calls: False):
-        self.deadly, self.bundles, self.held = deadly, [], 0
-
-    def nthreads(self):
-        return {"worker": 1}
-
-    def map(self, function, bundles, key, pure):
-        assert len(set(key)) == len(bundles) and not pure
-        self.held = max(self.held, len(bundles))
-        return [Future(self, name, function, bundle) for name, bundle in zip(key, bundles, strict=True)]
-
-
-class Future:
-    def __init__(self, owner, key, function, bundle):
-        self.key, self.failed = key, owner.deadly(pickle.loads(bundle))
-        self.value = None if self.failed else function(bundle)
-        owner.bundles.append(0 if self.failed else len(self.value[0]))
-
-    def add_done_callback(self, call):
-        call(self)
-
-    def result(self):
-        if self.failed:
-            raise RuntimeError("the worker died")
-        return self.value
-
-    def release(self):
-        pass
-
-
-def numbers(client, count):
-    """What a cluster makes of ``abs`` of as many numbers, in the order in which they end."""
-    pytest.importorskip("distributed")
-    todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
-    return [outcome.value for _, outcome in carried_out(Cluster(client), todo, collections.deque(), lambda: None)]
-
-
-def test_a_scheduler_is_given_short_tasks_in_bundles_and_long_ones_one_by_one(monkeypatch):
-    client = Scheduler()
-    assert sorted(numbers(client, 1000)) == list(range(1000))
-    assert client.held <= 2 and sum(client.bundles) == 1000 and max(client.bundles) <= 100
-    assert len(client.bundles) < 40 and client.bundles[:2] == [1, 1]
-    monkeypatch.setattr(dask, "_LASTS", 0.0)
-    client = Scheduler()
-    assert sorted(numbers(client, 50)) == list(range(50)) and client.bundles == [1] * 50
-
-
-def test_a_bundle_ends_when_its_time_is_over_and_what_it_left_is_done_once(monkeypatch):
-    """The seventh bundle and later ones do one task each, whatever they hold."""
-
-    def soon_over(calls):
-        if len(client.bundles) == 6:
-            monkeypatch.setattr(dask, "_LASTS", 0.0)
-        return False
-
-    client = Scheduler(soon_over)
-    assert sorted(numbers(client, 60)) == list(range(60))
-    assert max(client.bundles[:6]) > 1 and set(client.bundles[6:]) == {1} and sum(client.bundles) == 60
-
-
-def test_what_kills_workers_is_told_from_what_was_with_it():
-    client = Scheduler(lambda calls: (abs, (77,)) in calls)
-    found = numbers(client, 200)
-    assert sorted(n for n in found if n is not None) == [n for n in range(200) if n != 77] and found.count(None) == 1
-    assert client.bundles.count(0) == 4, "with others, and three times alone"
-
-
 def test_a_report_and_a_map_lie_beside_the_files(done):
     out, report = done
     facts = json.loads((out / "jaxfilter-run.json").read_text())
@@ -802,50 +729,6 @@ def test_a_method_that_looks_at_the_whole_first(files, tmp_path):
 
 
 # the plan of tiles: every point has one core, every window its files
-
-
-def boxes(n=60, seed=0):
-    """Boxes of files, some of which overlap, some of them a point or without points, far from zero."""
-    rng = np.random.default_rng(seed)
-    low = rng.uniform(0, 5000, (n, 2)) + [3e5, -4e6]
-    bounds = np.concatenate([low, low + rng.uniform(0, 900, (n, 2))], axis=1)
-    bounds[0, 2:] = bounds[0, :2]
-    counts = rng.integers(1, 10**6, n)
-    counts[1], bounds[1] = 0, np.nan
-    return np.round(bounds, 2), counts
-
-
-@pytest.mark.parametrize("how", [
-    {"halo": 35.0, "lattice": 10.0}, {"halo": 0.0}, {"halo": 60.0, "lattice": 7.0},
-    {"halo": 100.0, "lattice": 1.0, "side": 333.0, "metre": 0.3048},
-])  # fmt: skip
-def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
-    bounds, counts = boxes()
-    plan = plan_tiles(bounds, counts, **{"metre": 1.0, **how})
-    cores = np.array([plan.core(t) for t in range(len(plan))])
-    windows = np.array([plan.window(t) for t in range(len(plan))])
-    rng = np.random.default_rng(1)
-    for file in np.flatnonzero(counts):
-        x0, y0, x1, y1 = bounds[file]
-        xy = np.concatenate([rng.uniform((x0, y0), (x1, y1), (40, 2)), [(x0, y0), (x1, y1), (x0, y1)]])
-        inside = ((xy[:, None] >= cores[:, :2]) & (xy[:, None] < cores[:, 2:])).all(axis=2)
-        assert (inside.sum(axis=1) == 1).all()
-        assert set(inside.argmax(axis=1)) <= set(plan.tiles_of[file])
-        meets = (windows[:, :2] <= (x1, y1)).all(axis=1) & (windows[:, 2:] > (x0, y0)).all(axis=1)
-        near = np.array([file in plan.near[t] for t in range(len(plan))])
-        assert (near >= meets).all() and all(file in plan.home[t] for t in plan.tiles_of[file])
-    metre, lattice = how.get("metre", 1.0), how.get("lattice", 1.0)
-    halo = how["halo"] / metre
-    steps = windows * metre / lattice
-    assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
-    around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
-    assert (around >= halo - 1e-4).all() and (around < halo + lattice / metre + 1e-4).all()
-    if "side" not in how:
-        density = counts.sum() / ((bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1]))[counts > 0].sum()
-        assert len(plan) > 1 and plan.points.max() <= max(POINTS, density * (HALOS * how["halo"]) ** 2)
-    width, height = plan.largest()
-    sides = windows[:, 2:] - windows[:, :2]
-    assert (sides <= np.array([width, height]) + 1e-4).all()
 
 
 def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
