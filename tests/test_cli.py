@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 
-import click
 import laspy
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from commands import assert_one_line, done, facts, run
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
-from jaxfilter.cli.session import in_flags
 from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
@@ -105,21 +103,6 @@ def test_fields_of_every_kind_become_flags(folder, monkeypatch, method, words, v
     assert_one_line(ground(folder, *words, method=method), 1, "enough")
     assert seen == [FILTERS[method](**values)]
     assert "[symbol s; > 0 rise/run; default 0.15]" in " ".join(run("ground", "smrf", "--help").stdout.split())
-
-
-@pytest.mark.parametrize(("text", "told"), [
-    ("pass tile=40 or pass in_place=True", "pass --tile 40 or pass --in-place"),
-    ("another CRS: leave out crs=, since", "another CRS: leave out --crs, since"),
-    ("bounds with in_place=True would remove", "bounds with --in-place would remove"),
-    ("aoi= and bounds= cannot both", "--aoi and --bounds cannot both"),
-    ("tile=-1: must be > 0", "tile=-1: must be > 0"),
-    ("crs='EPSG:0' is none; pass slope=0.1", "crs='EPSG:0' is none; pass slope=0.1"),
-])  # fmt: skip
-def test_messages_of_the_library_speak_of_the_flags_of_the_command(text, told):
-    with click.Context(click.Command("one", params=[
-        click.Option(["--in-place"], is_flag=True), *(click.Option([f"--{name}"]) for name in ("tile", "crs", "aoi", "bounds")),
-    ])):  # fmt: skip
-        assert in_flags(text) == told
 
 
 @pytest.mark.parametrize("options, width", [(("--largest-building", 25), 25.0), (("--for-cloud",), None)])

@@ -540,18 +540,6 @@ def assert_warned(result, *words):
     assert any(all(word in line for word in words) for line in warnings), result.stderr
 
 
-@pytest.mark.parametrize("name, spoil, words", [
-    ("in.las", lambda path: path.write_bytes(b""), "empty"),
-    ("in.las", lambda path: patch(path, "Q", 247, 10**7), "announces 10000000 points"),
-    ("in.laz", lambda path: path.write_bytes(path.read_bytes()[:-900]), "truncated"),
-])  # fmt: skip
-def test_damaged_files(tmp_path, name, spoil, words):
-    make_las(tmp_path / name, 6)
-    spoil(tmp_path / name)
-    assert_error(ground(tmp_path / name), str(tmp_path / name), words)
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
 @pytest.mark.parametrize("name", ["in.las", "in.laz", "in.txt"])
 def test_no_points(tmp_path, name):
     source = tmp_path / name
