@@ -511,7 +511,7 @@ def test_drone_lidar_is_dense_and_thin():
     (scenes.make, {"layout": "moon"}, "layout='moon'"),
     (scenes.make, {"size": (100, -1)}, "size=-1"),
     (scenes.make, {"size": (1, 2, 3)}, r"size=\(1, 2, 3\)"),
-    (scenes.make, {"density": 0}, "density=0: must be between 0.1 and 1000"),
+    (scenes.make, {"density": 0}, r"density=0\): must be between 0.1 and 1000"),
     (scenes.make, {"seed": -1}, "seed=-1"),
     (scenes.make, {"seed": 1.5}, "seed=1.5"),
     (scenes.make, {"noise": float("nan")}, "noise=nan"),

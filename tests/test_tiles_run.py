@@ -21,7 +21,7 @@ import jaxfilter as jf
 from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, attempt
-from jaxfilter.surveys.plan import POINTS, WHOLE, plan_tiles
+from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
 from jaxfilter.surveys.product import do_tile
 from jaxfilter.surveys.report import RunReport
 from jaxfilter.surveys.targets import target_names
@@ -710,6 +710,50 @@ def test_a_method_that_looks_at_the_whole_first(files, tmp_path):
 
 
 # the plan of tiles: every point has one core, every window its files
+
+
+def boxes(n=60, seed=0):
+    """Boxes of files, some of which overlap, some of them a point or without points, far from zero."""
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(0, 5000, (n, 2)) + [3e5, -4e6]
+    bounds = np.concatenate([low, low + rng.uniform(0, 900, (n, 2))], axis=1)
+    bounds[0, 2:] = bounds[0, :2]
+    counts = rng.integers(1, 10**6, n)
+    counts[1], bounds[1] = 0, np.nan
+    return np.round(bounds, 2), counts
+
+
+@pytest.mark.parametrize("how", [
+    {"halo": 35.0, "lattice": 10.0}, {"halo": 0.0}, {"halo": 60.0, "lattice": 7.0},
+    {"halo": 100.0, "lattice": 1.0, "side": 333.0, "metre": 0.3048},
+])  # fmt: skip
+def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
+    bounds, counts = boxes()
+    plan = plan_tiles(bounds, counts, **{"metre": 1.0, **how})
+    cores = np.array([plan.core(t) for t in range(len(plan))])
+    windows = np.array([plan.window(t) for t in range(len(plan))])
+    rng = np.random.default_rng(1)
+    for file in np.flatnonzero(counts):
+        x0, y0, x1, y1 = bounds[file]
+        xy = np.concatenate([rng.uniform((x0, y0), (x1, y1), (40, 2)), [(x0, y0), (x1, y1), (x0, y1)]])
+        inside = ((xy[:, None] >= cores[:, :2]) & (xy[:, None] < cores[:, 2:])).all(axis=2)
+        assert (inside.sum(axis=1) == 1).all()
+        assert set(inside.argmax(axis=1)) <= set(plan.tiles_of[file])
+        meets = (windows[:, :2] <= (x1, y1)).all(axis=1) & (windows[:, 2:] > (x0, y0)).all(axis=1)
+        near = np.array([file in plan.near[t] for t in range(len(plan))])
+        assert (near >= meets).all() and all(file in plan.home[t] for t in plan.tiles_of[file])
+    metre, lattice = how.get("metre", 1.0), how.get("lattice", 1.0)
+    halo = how["halo"] / metre
+    steps = windows * metre / lattice
+    assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
+    around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
+    assert (around >= halo - 1e-4).all() and (around < halo + lattice / metre + 1e-4).all()
+    if "side" not in how:
+        density = counts.sum() / ((bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1]))[counts > 0].sum()
+        assert len(plan) > 1 and plan.points.max() <= max(POINTS, density * (HALOS * how["halo"]) ** 2)
+    width, height = plan.largest()
+    sides = windows[:, 2:] - windows[:, :2]
+    assert (sides <= np.array([width, height]) + 1e-4).all()
 
 
 def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
