@@ -41,14 +41,6 @@ def result_of(cloud, seed=0):
     return expand(cloud, points, Labels(value < 0, height=value + 1, margin=value))
 
 
-def any_version(path, point_format, version, **options):
-    """laspy writes 1.2 and later; earlier versions have the same layout and another number in the header."""
-    made = version if version > "1.1" else "1.2"
-    las = make_las(path, point_format, made, **options)
-    patch(path, "B", 25, int(version[-1]))
-    return las
-
-
 def one_channel(point_format, suffix):
     """lazrs 0.8 does not give back wave packets of several scanner channels; see test_waveforms_of_several_channels."""
     return {"scanner_channel": np.full(200, 2)} if point_format in (9, 10) and suffix == ".laz" else {}
@@ -80,7 +72,8 @@ def assert_same_but_classes(one, other):
 @pytest.mark.parametrize("point_format, version", EVERY)
 def test_only_classes_of_candidates_change(tmp_path, point_format, version, suffix, into):
     source, target = tmp_path / f"in{suffix}", tmp_path / f"out{into}"
-    las = any_version(source, point_format, version, extra=True, **one_channel(point_format, into))
+    las = make_las(source, point_format, max(version, "1.2"), extra=True, **one_channel(point_format, into))
+    patch(source, "B", 25, int(version[-1]))  # laspy writes no version before 1.2, whose layout is the same
     cloud = read(source)
     local = PointCloud.from_arrays(np.stack([las.x, las.y, las.z], axis=1))
     assert cloud.xyz.tobytes() == local.xyz.tobytes() and cloud.origin.tolist() == local.origin.tolist()

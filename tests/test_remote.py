@@ -162,37 +162,6 @@ def bucket():
     running.stop()
 
 
-@pytest.mark.slow
-def test_in_and_out_of_an_object_store(tmp_path, bucket):
-    box = (X + 10, Y + 10, X + 60, Y + 70)
-    for k, name in enumerate(("a.laz", "b.las", "c.copc.laz")):
-        make_copc(tmp_path / name) if "copc" in name else make_las(tmp_path / name, 6, n=500, seed=k)
-        bucket.put_file(str(tmp_path / name), f"surveys/2024/{name}")
-    survey = jf.open("s3://surveys/2024/")
-    assert list(survey.uris) == [f"s3://surveys/2024/{name}" for name in ("a.laz", "b.las", "c.copc.laz")]
-    assert list(jf.open("s3://surveys/*/[ab].la*").uris) == list(survey.uris)[:2]
-    for source in survey:
-        assert_is_mask(read_window(source, box, tmp_path / "index"), tmp_path / source.place.name, box)
-    cloud = jf.read("s3://surveys/2024/a.laz")
-    ground = np.arange(500) % 2 == 0
-    jf.write("s3://surveys/out/a.laz", cloud, ground)
-    jf.write(tmp_path / "expected.laz", jf.read(tmp_path / "a.laz"), ground)
-    assert bucket.cat_file("surveys/out/a.laz") == (tmp_path / "expected.laz").read_bytes()
-    with pytest.raises(jf.OutputError, match=r"s3://surveys/out/a\.laz: the file exists"):
-        jf.write("s3://surveys/out/a.laz", cloud, ground)
-    with pytest.raises(jf.OutputError, match="output and input are one file"):
-        jf.write("s3://surveys/2024/a.laz", cloud, ground, overwrite=True)
-    with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
-        jf.write("s3://no-such-bucket/a.laz", cloud, ground)
-    jf.write("s3://surveys/out/a.laz", cloud, ~ground, overwrite=True)
-    np.testing.assert_array_equal(jf.read("s3://surveys/out/a.laz").classification[cloud.candidate & ~ground], 2)
-    jf.write("s3://surveys/2024/a.laz", cloud, ground, in_place=True)
-    assert bucket.cat_file("surveys/2024/a.laz") == (tmp_path / "expected.laz").read_bytes()
-    for missing in ("s3://surveys/2024/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
-        with pytest.raises(jf.InputError, match=missing):
-            jf.open(missing)
-
-
 @pytest.fixture(scope="module")
 def west_and_east(tmp_path_factory):
     """A survey of two files."""
@@ -239,6 +208,10 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     for path in local.glob("*.laz"):
         assert bucket.cat_file(f"surveys/run/2024/{path.name}") == path.read_bytes()
     assert [path.name for path in work.iterdir()] == [".jaxfilter-run"]
+    assert list(jf.open("s3://surveys/*/2024/[w]*.la*").uris) == [f"{out}/west.laz"]
+    for missing in (f"{out}/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
+        with pytest.raises(jf.InputError, match=missing):
+            jf.open(missing)
     assert into(west_and_east, out, work=work, overwrite=True).complete
     with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
         into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")
@@ -353,6 +326,13 @@ def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
         assert bucket.cat_file(f"surveys/one/{there}") == (tmp_path / here).read_bytes(), there
         wrong = run(*words, source, f"{out}/{there}")
         assert wrong.exit_code == 2 and f"{out}/{there} exists" in wrong.stderr, wrong.output
+    cloud = jf.read(f"{out}/a.laz")
+    jf.write(f"{out}/w.laz", cloud, None)
+    jf.write(tmp_path / "w.laz", cloud, None)
+    assert bucket.cat_file("surveys/one/w.laz") == (tmp_path / "w.laz").read_bytes()
+    for name, how, words in (("w", {}, "the file exists"), ("a", {"overwrite": True}, "output and input are one file")):
+        with pytest.raises(jf.OutputError, match=words):
+            jf.write(f"{out}/{name}.laz", cloud, None, **how)
     back = run(*fields, f"{out}/a.laz", tmp_path / "again.laz", "--quiet")
     assert back.exit_code == 0 and (tmp_path / "again.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     for words, code, said in (

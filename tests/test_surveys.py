@@ -91,10 +91,6 @@ def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
     assert found.measures["spacing"] == pytest.approx(PMF.points_of(cloud).spacing(), rel=1e-4)  # a sample: 7 % less
 
 
-def facts_of(out):
-    return json.loads((out / ".jaxfilter-run" / "run.json").read_text())["holds"]
-
-
 def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
@@ -104,8 +100,8 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     for name, how in ways.items():
         report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
         assert report.complete and report.tiles > 1
-    digests = {facts_of(tmp_path / name)["tiles"]["digest"] for name in ways}
-    assert len(digests) == 1
+    facts = [json.loads((tmp_path / name / ".jaxfilter-run" / "run.json").read_text()) for name in ways]
+    assert len({each["holds"]["tiles"]["digest"] for each in facts}) == 1
     same = las_of_folder(tmp_path / "one")
     assert all(las_of_folder(tmp_path / name) == same for name in ways)
 
