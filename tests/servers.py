@@ -1,4 +1,4 @@
-"""A web server of a folder that knows ranges, counts what it sends, and fails when it is told to; and failures for another."""
+"""A web server of a folder that knows ranges, and fails when it is told to; and failures for another."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ class RangeServer:
     """Serves a folder at ``url`` inside a ``with`` block.
 
     Attributes:
-        sent: bytes of content that were sent.
         requests: number of GET requests.
         failures: statuses to answer the next GET requests with; 0 stands for a connection that is cut half-way.
         knows_ranges: whether ranges are obeyed; else all is sent.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.sent, self.requests = folder, 0, 0
+        self.folder, self.requests = folder, 0
         self.failures: list[int] = []
         self.knows_ranges = True
         self.lock = threading.Lock()
@@ -100,7 +99,5 @@ def _handler(owner: RangeServer) -> type[http.server.BaseHTTPRequestHandler]:
                     content = content[: len(content) // 2]
                     self.close_connection = True
                 self.wfile.write(content)
-                with owner.lock:
-                    owner.sent += len(content)
 
     return Handler

@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 
-import click
 import laspy
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from commands import assert_one_line, done, facts, run
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
-from jaxfilter.cli.session import in_flags
 from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
@@ -73,15 +71,6 @@ def test_ground_writes_what_the_library_finds(folder, method):
     assert "warning: " in result.stderr and "warning: " not in result.stdout
 
 
-@METHODS
-def test_flags_reach_the_filter(folder, method):
-    floats = [f for f in dataclasses.fields(FILTERS[method]) if isinstance(f.default, float) and f.default > 0]
-    name = min(floats, key=lambda f: f.metadata["static"]).name  # another value of a static one is another program
-    value = getattr(FILTERS[method](), name) / 2
-    result = ground(folder, f"--{name.replace('_', '-')}", value, "--json", method=method)
-    assert json.loads(result.stdout)["parameters"][name] == value
-
-
 def test_flags_cover_every_field_once():
     for method in FILTERS.values():
         names = [option.name for option in ground_command(method).params]
@@ -105,21 +94,6 @@ def test_fields_of_every_kind_become_flags(folder, monkeypatch, method, words, v
     assert_one_line(ground(folder, *words, method=method), 1, "enough")
     assert seen == [FILTERS[method](**values)]
     assert "[symbol s; > 0 rise/run; default 0.15]" in " ".join(run("ground", "smrf", "--help").stdout.split())
-
-
-@pytest.mark.parametrize(("text", "told"), [
-    ("pass tile=40 or pass in_place=True", "pass --tile 40 or pass --in-place"),
-    ("another CRS: leave out crs=, since", "another CRS: leave out --crs, since"),
-    ("bounds with in_place=True would remove", "bounds with --in-place would remove"),
-    ("aoi= and bounds= cannot both", "--aoi and --bounds cannot both"),
-    ("tile=-1: must be > 0", "tile=-1: must be > 0"),
-    ("crs='EPSG:0' is none; pass slope=0.1", "crs='EPSG:0' is none; pass slope=0.1"),
-])  # fmt: skip
-def test_messages_of_the_library_speak_of_the_flags_of_the_command(text, told):
-    with click.Context(click.Command("one", params=[
-        click.Option(["--in-place"], is_flag=True), *(click.Option([f"--{name}"]) for name in ("tile", "crs", "aoi", "bounds")),
-    ])):  # fmt: skip
-        assert in_flags(text) == told
 
 
 @pytest.mark.parametrize("options, width", [(("--largest-building", 25), 25.0), (("--for-cloud",), None)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import resource
 import shlex
 
 import numpy as np
@@ -14,7 +13,7 @@ import xarray as xr
 from commands import assert_one_line, facts, run
 
 import jaxfilter as jf
-from jaxfilter.cli.session import Session, memory, short
+from jaxfilter.cli.session import Session
 from jaxfilter.core.filter import ground_each
 from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
@@ -298,20 +297,6 @@ def test_labels_of_some_points_reach_all_that_coincide_with_them(folder, scene):
     west = np.append(labels[labels[:, 0] < xyz[399, 0], 3], labels[1:10, 3])  # the eastern bound is outside
     found = facts(*words, "--bounds", first, 0, last, 1e8)["labelled"]
     assert found == {"ground": (west == 0).sum() - 1, "object": (west == 1).sum()} and len(west) < 409
-
-
-def test_figures_of_the_bar_are_short_and_its_memory_is_that_of_the_process():
-    shown = {
-        "0.0 sets": (0, "sets"),
-        "999 sets": (999.4, "sets"),
-        "12.3 M points": (12_345_678, "points"),
-        "1.2 GB": (1.25e9, "B"),
-    }
-    assert {words: short(*given) for words, given in shown.items()} == {words: words for words in shown}
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    before = memory()
-    block = np.ones(30_000_000)
-    assert 0.9 * block.nbytes < memory() - before < 1.5 * block.nbytes and before < 4 * own
 
 
 def test_the_time_left_follows_the_mean_rate_of_this_run(monkeypatch):

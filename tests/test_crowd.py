@@ -158,20 +158,6 @@ def test_labels_of_dense_clouds_depend_on_neither_order_nor_threads_nor_core(yar
         np.testing.assert_array_equal(getattr(part, name)[inside], getattr(whole, name)[inside])
 
 
-def test_the_triangulation_of_a_dense_cloud_grows_with_the_area_and_not_with_the_points(rng, monkeypatch):
-    nodes, start = [], GroundTin.start
-
-    def counted(network, *rest, **more):
-        nodes.append(len(network.xyz) / 20**2)
-        return start(network, *rest, **more)
-
-    monkeypatch.setattr(GroundTin, "start", counted)
-    for density in (20, 100, 400):
-        xyz = sheet(rng, density, side=20.0)
-        jf.OST.for_cloud(xyz)(xyz)
-    np.testing.assert_allclose(nodes, [20, 16, 16], rtol=0.02)  # squares of a quarter of a metre
-
-
 def test_a_sweep_over_a_dense_cloud_finds_the_labels_of_single_runs(yard):
     xyz, truth = yard
     cloud = jf.PointCloud.from_arrays(xyz, reference=truth)

@@ -14,16 +14,13 @@ from triangulation import Mesh
 
 import jaxfilter as jf
 from jaxfilter.core.cloud import PointCloud
-from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import Decision, Status, silent
-from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import flips, walks
 from jaxfilter.engines.tin import ground as ground_module
 from jaxfilter.engines.tin import triangulation as tin_module
 from jaxfilter.engines.tin.facets import Rule
-from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Outliers, Vertices
+from jaxfilter.engines.tin.growth import Adaptive, Outliers
 from jaxfilter.engines.tin.network import block_networks, border_positions
 from jaxfilter.engines.tin.triangulation import lattice
 
@@ -56,14 +53,6 @@ def of_rows(points, values):
 def lowest_of_positions(xyz, rows):
     """The first of rows, which ascend, at each position: in canonical order this is the lowest."""
     return rows[np.sort(np.unique(xyz[rows, :2], axis=0, return_index=True)[1])]
-
-
-def densify(net, growth, workers=None):
-    """The outcome of a growth that ends by itself."""
-    with GroundTin.start(net, growth, workers=workers) as out:
-        assert grow(out, 1000) is Status.CONVERGED
-        out.finish()
-    return out
 
 
 def plain(net, growth):
@@ -219,26 +208,6 @@ def sheet_of(net, number):
     part = net.sheet == number
     columns = {name: getattr(net, name)[part] for name in ("xyz", "row", "seed", "open", "late")}
     return dataclasses.replace(net, sheet=np.zeros(part.sum(), np.int32), **columns)
-
-
-@pytest.mark.parametrize("policy", ["one_per_facet", "spacing", "grids"])
-def test_blocks_together_equal_each_alone(policy):
-    points = scene(18, n=2500)
-    net, vertices = blocks_of(points)[0], Vertices(spacing=2.0 if policy == "spacing" else 0.0)
-    if policy == "grids":
-        grids = [grid_over(points.xyz, cell, points.offset(cell), name="cell") for cell in (8.0, 4.0, 2.0)]
-        vertices = Vertices(grids=grids)
-    rule, mirror = Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True)
-    growth = Growth(rule, mirror, vertices=vertices, one_per_facet=policy == "one_per_facet")
-    out = densify(net, growth, workers=3)
-    alone = [densify(sheet_of(net, number), growth, workers=1) for number in range(int(net.sheet[-1]) + 1)]
-    assert len(alone) > 3 and len({len(one.trace) for one in alone}) > 1
-    for name in ("ground", "decision"):
-        assert np.array_equal(getattr(out, name), np.concatenate([getattr(one, name) for one in alone]))
-    for name in ("height", "slope", "angle", "elevation", "margin"):  # kernels of other sizes round differently
-        together = np.concatenate([getattr(one, name) for one in alone])
-        np.testing.assert_allclose(getattr(out, name), together, atol=2e-3)
-    assert len(out.tin) == sum(len(one.tin) for one in alone)
 
 
 def test_a_result_tells_heights_over_the_final_surface_decisions_and_rounds():

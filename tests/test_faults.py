@@ -121,22 +121,6 @@ CHANGES = ("replaced", "shorter", "longer", "rewritten", "cut", "removed")
 @pytest.mark.usefixtures("in_parts")
 @pytest.mark.parametrize("suffix", KINDS)
 @pytest.mark.parametrize("how", CHANGES)
-@pytest.mark.parametrize("chunk", [0, 2])
-def test_input_that_changes_while_it_is_copied(tmp_path, monkeypatch, suffix, how, chunk):
-    source, target = make(tmp_path / f"in{suffix}"), tmp_path / ("out.laz" if chunk else f"out{suffix}")
-    cloud = read(source)
-    at_call(monkeypatch, files.Tally, "add", chunk if suffix == ".las" else 0, lambda: changed(source, how))
-    refused = pytest.raises(InputError, match=r"in\..*changed since")
-    with contextlib.suppress(InputError) if how == "rewritten" else refused:
-        jf.write(target, cloud, truth(cloud))
-    if target.exists():  # what was to be copied had been read before the change
-        assert is_of(target, ticks_of(0))
-    assert set(names(tmp_path)) <= {source.name, target.name}
-
-
-@pytest.mark.usefixtures("in_parts")
-@pytest.mark.parametrize("suffix", KINDS)
-@pytest.mark.parametrize("how", CHANGES)
 def test_input_that_changes_while_it_is_read(tmp_path, monkeypatch, suffix, how):
     source = make(tmp_path / f"in{suffix}")
     with monkeypatch.context() as patch:

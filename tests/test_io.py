@@ -41,14 +41,6 @@ def result_of(cloud, seed=0):
     return expand(cloud, points, Labels(value < 0, height=value + 1, margin=value))
 
 
-def any_version(path, point_format, version, **options):
-    """laspy writes 1.2 and later; earlier versions have the same layout and another number in the header."""
-    made = version if version > "1.1" else "1.2"
-    las = make_las(path, point_format, made, **options)
-    patch(path, "B", 25, int(version[-1]))
-    return las
-
-
 def one_channel(point_format, suffix):
     """lazrs 0.8 does not give back wave packets of several scanner channels; see test_waveforms_of_several_channels."""
     return {"scanner_channel": np.full(200, 2)} if point_format in (9, 10) and suffix == ".laz" else {}
@@ -80,9 +72,8 @@ def assert_same_but_classes(one, other):
 @pytest.mark.parametrize("point_format, version", EVERY)
 def test_only_classes_of_candidates_change(tmp_path, point_format, version, suffix, into):
     source, target = tmp_path / f"in{suffix}", tmp_path / f"out{into}"
-    las = any_version(source, point_format, version, extra=True, **one_channel(point_format, into))
-    if suffix == ".las":
-        patch(source, "B", 104, 0x40 | point_format)  # a reserved bit, which stays
+    las = make_las(source, point_format, max(version, "1.2"), extra=True, **one_channel(point_format, into))
+    patch(source, "B", 25, int(version[-1]))  # laspy writes no version before 1.2, whose layout is the same
     cloud = read(source)
     local = PointCloud.from_arrays(np.stack([las.x, las.y, las.z], axis=1))
     assert cloud.xyz.tobytes() == local.xyz.tobytes() and cloud.origin.tolist() == local.origin.tolist()
@@ -97,41 +88,10 @@ def test_only_classes_of_candidates_change(tmp_path, point_format, version, suff
     assert_same_but_classes(out, las)
     np.testing.assert_array_equal(out.classification, expected_classes(las, cloud.candidate, result.ground))
     assert not np.array_equal(out.classification, las.classification)
-    assert target.read_bytes()[:90] == source.read_bytes()[:90]  # ids, encoding, GUID, version, software
-    assert out.header.creation_date == las.header.creation_date
     kept = [[v.record_data_bytes() for v in one.vlrs if v.record_id != 22204] for one in (out, laspy.read(source))]
     assert kept[0] == kept[1]
     if version == "1.4":
         assert out.evlrs[0].record_data == las.evlrs[0].record_data
-    if into == ".las":  # no byte but those of classes differs
-        old, new = (np.frombuffer(path.read_bytes(), np.uint8) for path in (source, target))
-        changed = np.flatnonzero(old != new) - struct.unpack_from("<I", old, 96)[0]
-        length = las.point_format.size
-        assert len(changed) > 20 and changed.max() < length * len(cloud)
-        assert set(changed % length) == {15 if point_format < 6 else 16}
-        assert point_format > 5 or not ((old ^ new) & 0xE0).any()
-
-
-def test_what_laspy_would_not_keep(tmp_path):
-    """Odd bytes in text fields, a creation day 0, data after header and records: LAS to LAZ and back."""
-    source = tmp_path / "in.las"
-    make_las(source, 3)
-    content = source.read_bytes()
-    offset = struct.unpack_from("<I", content, 96)[0]
-    head = bytearray(content[:227] + b"after the header" + content[227:offset] + b"\xdd\xcc gap")
-    struct.pack_into("<32sHHHI", head, 58, b"caf\xe9 \xff", 0, 0, 227 + 16, len(head))
-    struct.pack_into("<H", head, 227 + 16, 0xAABB)  # the signature of LAS 1.0 records
-    source.write_bytes(bytes(head) + content[offset:] + b"trailing bytes")
-    cloud = read(source)
-    result = result_of(cloud)
-    write(tmp_path / "direct.las", cloud, result)
-    write(tmp_path / "packed.laz", cloud, result)
-    direct, packed = (tmp_path / "direct.las").read_bytes(), tmp_path / "packed.laz"
-    assert direct[: offset + 16 + 6] == bytes(head) and direct.endswith(b"trailing bytes")
-    assert packed.read_bytes()[:94] == bytes(head[:94])
-    again = read(packed)
-    write(tmp_path / "unpacked.las", again, result)
-    assert (tmp_path / "unpacked.las").read_bytes() == direct.removesuffix(b"trailing bytes")
 
 
 @pytest.mark.parametrize("point_format", [4, 5, 9, 10])

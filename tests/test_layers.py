@@ -18,7 +18,6 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.surveys import model
 from jaxfilter.surveys.products import Products
 from jaxfilter.terrain.layers import LAYERS
 
@@ -333,31 +332,6 @@ def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_pat
     options = {option.name: option.default for option in main.commands[name].params}
     for field in dataclasses.fields(LAYERS[name]):
         assert options[field.name] == field.default or field.default is None, field.name
-
-
-@pytest.mark.parametrize("point", ["write_mosaic", "write_features", "packed"])
-def test_what_fails_while_files_are_written_leaves_none_half(survey, done, tmp_path, monkeypatch, point):
-    names = {"dtm": "dtm.tif", "hillshade": "hillshade.tif", "count": "count.tif", "contours": "contours.gpkg"}
-    out, how = tmp_path / "out", {"tile": 80.0, "only": names}
-    expected = {name: found for name, found in contents(done[0]).items() if name in names.values()}
-    calls = []
-
-    def fails(*arguments, **options):
-        calls.append(point)
-        if len(calls) == 3 or point == "write_features":
-            raise KeyboardInterrupt
-        return sound(*arguments, **options)
-
-    with monkeypatch.context() as patch:
-        sound = getattr(model, point)
-        patch.setattr(model, point, fails)
-        with pytest.raises(KeyboardInterrupt):
-            make(survey / "in", out, **how)
-    assert contents(out).items() <= expected.items()
-    assert not (out / "survey.html").exists()
-    assert make(survey / "in", out, resume=True, **how).rasters.ground == done[1].rasters.ground
-    assert contents(out) == expected
-    assert {p.name for p in out.iterdir()} == {*names.values(), "survey.html"}
 
 
 def test_products_by_command(survey, tmp_path):

@@ -51,17 +51,13 @@ def options(name):
         return {flag: one for one in context.command.params for flag in one.opts if flag.startswith("-")}
 
 
-def flag_of(parameter):
-    """The first flag among its words, if any."""
-    return next((word for word in parameter.words.split() if word.startswith("--")), None)
-
-
 @pytest.mark.parametrize("name", list(BY_NAME))
 def test_every_flag_is_one_of_the_command_with_the_same_default(name):
     known = options(name)
     assert "--progress-every" in known
     for parameter in BY_NAME[name].parameters:
-        if (flag := flag_of(parameter)) is None or parameter.name == "METHOD":
+        flag = next((word for word in parameter.words.split() if word.startswith("--")), None)
+        if flag is None or parameter.name == "METHOD":
             continue
         assert flag in known, f"{parameter.name}: {name} has no {flag}"
         theirs, value = known[flag].default, parameter.default

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
 
 import laspy
@@ -13,9 +12,7 @@ from las_files import OFFSETS, SCALES, las_of, make_copc, make_deep_copc, make_l
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
-from jaxfilter.files import blocks, records, windows
-from jaxfilter.files.classes import Finding, Found
-from jaxfilter.files.disk import Identity
+from jaxfilter.files import blocks, windows
 from jaxfilter.files.sources import describe_file
 from jaxfilter.files.windows import file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
@@ -195,34 +192,6 @@ def test_a_file_is_written_without_its_cloud(tmp_path, name, bounds, suffix):
     assert not (tmp_path / f"other{suffix}").exists()
 
 
-@pytest.mark.parametrize("point_format", [1, 6])
-def test_chunks_without_a_new_class_are_copied(tmp_path, monkeypatch, point_format):
-    """The same bytes as where all points are encoded anew; only the chunk that changes is."""
-    path = tmp_path / "in.laz"
-    make_las(path, point_format, n=120_000)
-    source, judged = describe_file(path, Stated(Units())), np.zeros(120_000, bool)
-    judged[60_000:60_200] = True
-    found = Found(judged, np.where(judged, Finding.GROUND, Finding.KEPT).astype(np.uint8))
-    write_cloud(tmp_path / "whole.laz", jf.read(path, units="m"), found)
-    encoded, encode = [], records.in_one_chunk
-    monkeypatch.setattr(records, "in_one_chunk", lambda *given: encoded.append(len(given[0])) or encode(*given))
-    stand_in = file_cloud(source, judged, tmp_path / "index")
-    write_cloud(tmp_path / "chunks.laz", stand_in, found)
-    assert encoded == [50_000]
-    (_, old), (_, new) = (whole(tmp_path / name) for name in ("in.laz", "chunks.laz"))
-    given, made, again = ((tmp_path / f"{name}.laz").read_bytes() for name in ("in", "chunks", "whole"))
-    head, begin = 375 if point_format == 6 else 227, old.header.offset_to_point_data
-    assert made[:head] == again[:head] and made[head:begin] == given[head:begin] and made[begin:] == again[begin:]
-    np.testing.assert_array_equal(new.classification, np.where(judged, 2, old.classification))
-    with open(path, "r+b") as file:  # of the first chunk, which is not decoded
-        file.seek(begin + 60_000)
-        file.write(b"\0\1\2\3")
-    with pytest.raises(jf.InputError, match="changed"):
-        write_cloud(tmp_path / "other.laz", dataclasses.replace(stand_in, source=dataclasses.replace(
-            stand_in.source, identity=Identity.of(path))), found)  # fmt: skip
-    assert not (tmp_path / "other.laz").exists()
-
-
 def test_feet_and_options_as_in_read(tmp_path):
     path = tmp_path / "in.las"
     make_las(path, 6, n=400, crs=2225)  # US survey feet
@@ -309,24 +278,3 @@ def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     window = read_window(source, box, tmp_path / "index")
     assert len(window.record) == 41 * 51
     assert sum(counted) <= path.stat().st_size * (0.13 if suffix == ".las" else 0.26)
-
-
-@pytest.mark.parametrize("most, decoded", [(10**8, 4), (5_000_000, 8)], ids=["all kept", "two kept"])
-def test_windows_beside_one_another_decode_their_chunk_once(tmp_path, monkeypatch, most, decoded):
-    """Windows in each of four chunks of 50,000 points, twice: what is kept has a limit, and is no more if the file changes."""
-    path, n, found = tmp_path / "in.laz", 200_000, []
-    make_las(path, 6, n=n, X=np.arange(n), Y=np.zeros(n, int))
-    source = source_of(path, units="m")
-    chunks, decode = blocks._Kept(), blocks._decoded
-    read_window(source, (X, Y, X + 1, Y + 1), tmp_path / "index")
-    monkeypatch.setattr(blocks, "_KEPT", chunks)
-    monkeypatch.setattr(blocks, "_MOST", most)
-    monkeypatch.setattr(blocks, "_decoded", lambda *given: found.append(given) or decode(*given))
-    for start in [10_000, 60_000, 110_000, 160_000] * 2:
-        low = X + SCALES[0] * start
-        box = (low - SCALES[0] / 2, Y - 1, low + SCALES[0] * 99.5, Y + 1)
-        np.testing.assert_array_equal(read_window(source, box, tmp_path / "index").record, start + np.arange(100))
-    assert len(found) == decoded
-    assert sum(chunk.nbytes for chunk in chunks._chunks.values()) <= most
-    make_las(path, 6, n=n, X=np.arange(n) + 7, Y=np.zeros(n, int))
-    assert read_window(source_of(path, units="m"), box, tmp_path / "index").record[0] == start - 7

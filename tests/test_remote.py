@@ -11,7 +11,7 @@ import tempfile
 import fsspec
 import numpy as np
 import pytest
-from las_files import OFFSETS, las_of, make_copc, make_deep_copc, make_las
+from las_files import OFFSETS, las_of, make_copc, make_las
 from servers import Faulty, RangeServer
 from test_cli_runs import run
 from test_places import ROOF, field
@@ -36,20 +36,6 @@ def quick(monkeypatch):
 def server(tmp_path):
     with RangeServer(tmp_path) as server:
         yield server
-
-
-@pytest.mark.slow
-def test_a_hundredth_of_a_copc_file_costs_three_hundredths_of_its_bytes(tmp_path, server):
-    path = tmp_path / "in.copc.laz"
-    make_deep_copc(path, 6, 500)
-    low = OFFSETS[:2] + [31.3, 62.6]
-    box = (*low, *(low + 10.0))  # of 100 x 100
-    source = jf.open(f"{server.url}/in.copc.laz")[0]
-    assert (source.format, source.count) == ("copc", 1365 * 500)
-    window = read_window(source, box)
-    assert server.sent <= 0.03 * path.stat().st_size
-    assert len(window.record) > 0.008 * source.count
-    assert_is_mask(window, path, box)
 
 
 @pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz"])
@@ -176,37 +162,6 @@ def bucket():
     running.stop()
 
 
-@pytest.mark.slow
-def test_in_and_out_of_an_object_store(tmp_path, bucket):
-    box = (X + 10, Y + 10, X + 60, Y + 70)
-    for k, name in enumerate(("a.laz", "b.las", "c.copc.laz")):
-        make_copc(tmp_path / name) if "copc" in name else make_las(tmp_path / name, 6, n=500, seed=k)
-        bucket.put_file(str(tmp_path / name), f"surveys/2024/{name}")
-    survey = jf.open("s3://surveys/2024/")
-    assert list(survey.uris) == [f"s3://surveys/2024/{name}" for name in ("a.laz", "b.las", "c.copc.laz")]
-    assert list(jf.open("s3://surveys/*/[ab].la*").uris) == list(survey.uris)[:2]
-    for source in survey:
-        assert_is_mask(read_window(source, box, tmp_path / "index"), tmp_path / source.place.name, box)
-    cloud = jf.read("s3://surveys/2024/a.laz")
-    ground = np.arange(500) % 2 == 0
-    jf.write("s3://surveys/out/a.laz", cloud, ground)
-    jf.write(tmp_path / "expected.laz", jf.read(tmp_path / "a.laz"), ground)
-    assert bucket.cat_file("surveys/out/a.laz") == (tmp_path / "expected.laz").read_bytes()
-    with pytest.raises(jf.OutputError, match=r"s3://surveys/out/a\.laz: the file exists"):
-        jf.write("s3://surveys/out/a.laz", cloud, ground)
-    with pytest.raises(jf.OutputError, match="output and input are one file"):
-        jf.write("s3://surveys/2024/a.laz", cloud, ground, overwrite=True)
-    with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
-        jf.write("s3://no-such-bucket/a.laz", cloud, ground)
-    jf.write("s3://surveys/out/a.laz", cloud, ~ground, overwrite=True)
-    np.testing.assert_array_equal(jf.read("s3://surveys/out/a.laz").classification[cloud.candidate & ~ground], 2)
-    jf.write("s3://surveys/2024/a.laz", cloud, ground, in_place=True)
-    assert bucket.cat_file("surveys/2024/a.laz") == (tmp_path / "expected.laz").read_bytes()
-    for missing in ("s3://surveys/2024/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
-        with pytest.raises(jf.InputError, match=missing):
-            jf.open(missing)
-
-
 @pytest.fixture(scope="module")
 def west_and_east(tmp_path_factory):
     """A survey of two files."""
@@ -253,6 +208,10 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     for path in local.glob("*.laz"):
         assert bucket.cat_file(f"surveys/run/2024/{path.name}") == path.read_bytes()
     assert [path.name for path in work.iterdir()] == [".jaxfilter-run"]
+    assert list(jf.open("s3://surveys/*/2024/[w]*.la*").uris) == [f"{out}/west.laz"]
+    for missing in (f"{out}/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
+        with pytest.raises(jf.InputError, match=missing):
+            jf.open(missing)
     assert into(west_and_east, out, work=work, overwrite=True).complete
     with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
         into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")
@@ -355,27 +314,6 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     assert refused.calls == []
 
 
-@pytest.mark.slow
-def test_products_into_an_object_store(tmp_path, bucket, west_and_east):
-    """The files that a local folder has, byte for byte; the page has no pictures of what is elsewhere."""
-    only = ["hillshade", "voids", "contours"]
-
-    def into_store(out, **how):
-        return jf.products(west_and_east, out, PMF, only=only, run=options(**how))
-
-    assert into_store(tmp_path / "local").complete
-    with pytest.raises(jf.ParameterError, match="pass work="):
-        into_store("s3://surveys/products")
-    assert into_store("s3://surveys/products", work=tmp_path / "work").complete
-    bucket.invalidate_cache()
-    names = [f"classified/{side}.laz" for side in ("east", "west")] + ["hillshade.tif", "voids.tif", "contours.gpkg"]
-    for name in names:
-        assert bucket.cat_file(f"surveys/products/{name}") == (tmp_path / "local" / name).read_bytes(), name
-    assert b'href="voids.tif"' in bucket.cat_file("surveys/products/survey.html")
-    with pytest.raises(jf.OutputError, match=r"products/hillshade\.tif: the file exists"):
-        into_store("s3://surveys/products", work=tmp_path / "work")
-
-
 def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
     source, out = west_and_east / "west.laz", "s3://surveys/one"
     fields = ["ground", "pmf", "--max-window=9.0", "--no-low-clusters"]
@@ -388,6 +326,13 @@ def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
         assert bucket.cat_file(f"surveys/one/{there}") == (tmp_path / here).read_bytes(), there
         wrong = run(*words, source, f"{out}/{there}")
         assert wrong.exit_code == 2 and f"{out}/{there} exists" in wrong.stderr, wrong.output
+    cloud = jf.read(f"{out}/a.laz")
+    jf.write(f"{out}/w.laz", cloud, None)
+    jf.write(tmp_path / "w.laz", cloud, None)
+    assert bucket.cat_file("surveys/one/w.laz") == (tmp_path / "w.laz").read_bytes()
+    for name, how, words in (("w", {}, "the file exists"), ("a", {"overwrite": True}, "output and input are one file")):
+        with pytest.raises(jf.OutputError, match=words):
+            jf.write(f"{out}/{name}.laz", cloud, None, **how)
     back = run(*fields, f"{out}/a.laz", tmp_path / "again.laz", "--quiet")
     assert back.exit_code == 0 and (tmp_path / "again.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     for words, code, said in (

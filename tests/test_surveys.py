@@ -91,10 +91,6 @@ def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
     assert found.measures["spacing"] == pytest.approx(PMF.points_of(cloud).spacing(), rel=1e-4)  # a sample: 7 % less
 
 
-def facts_of(out):
-    return json.loads((out / ".jaxfilter-run" / "run.json").read_text())["holds"]
-
-
 def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
@@ -104,8 +100,8 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     for name, how in ways.items():
         report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
         assert report.complete and report.tiles > 1
-    digests = {facts_of(tmp_path / name)["tiles"]["digest"] for name in ways}
-    assert len(digests) == 1
+    facts = [json.loads((tmp_path / name / ".jaxfilter-run" / "run.json").read_text()) for name in ways]
+    assert len({each["holds"]["tiles"]["digest"] for each in facts}) == 1
     same = las_of_folder(tmp_path / "one")
     assert all(las_of_folder(tmp_path / name) == same for name in ways)
 
@@ -170,34 +166,6 @@ def test_a_folder_is_classified_in_place(survey, tmp_path):
     assert sorted(path.name for path in files.iterdir()) == ["east.las", "west.las"]
     assert run("height", files / "west.las", files / "east.las", "--in-place", "--quiet").exit_code == 0
     assert all("HeightAboveGround" in laspy.read(path).point_format.dimension_names for path in files.iterdir())
-
-
-@pytest.mark.slow
-def test_text_beside_las(survey, tmp_path):
-    """Text has the labels that its points have as LAS, with the neighbour in another format."""
-    las = laspy.read(survey / "east.las")
-    las.classification[:], las.return_number[:], las.number_of_returns[:] = 0, 1, 1
-    plain = tmp_path / "east.las"
-    las.write(plain)
-    table = np.column_stack([las.xyz, las.intensity])
-    np.savetxt(tmp_path / "east.csv", table, fmt="%.2f", delimiter=",", header="x,y,z,i", comments="")
-    labels = {}
-    for source in (plain, tmp_path / "east.csv"):
-        out = tmp_path / f"out-{source.suffix[1:]}"
-        how = (*FIELDS, "--tile", 50, "--workers", 1, "--json", "-q")
-        done = run("ground", "pmf", survey / "west.las", source, f"{out}/", *how)
-        assert done.exit_code == 0, done.output
-        report = json.loads(done.stdout)
-        assert report["complete"] and len(report["files"]) == 2 and report["tiles"] > 4
-        labels[source.suffix] = jf.read(out / source.name, units="m").reference
-    np.testing.assert_array_equal(labels[".las"], labels[".csv"])
-    assert 0.1 < labels[".csv"].mean() < 0.98
-    lines = (tmp_path / "out-csv" / "east.csv").read_text().splitlines()
-    before = (tmp_path / "east.csv").read_text().splitlines()
-    assert [line.rpartition(",")[0] for line in lines[1:]] == before[1:]
-    csv = tmp_path / "out-csv" / "east.csv"
-    model = run("dtm", survey / "west.las", csv, tmp_path / "dtm.tif", "--filter", "pmf")
-    assert model.exit_code == 0 and np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
 
 
 class Dies(Here):
@@ -432,49 +400,6 @@ def test_hard_links_in_the_folder_of_a_run_change_nothing_elsewhere(survey, tmp_
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     assert jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(), **some, **{how: True})).complete
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
-
-
-def test_nothing_elsewhere_is_lost_whenever_a_link_takes_the_place_of_the_folder(
-    survey, tmp_path, elsewhere, monkeypatch
-):
-    """It is put there before the first call that names the folder or what lies in it, before the second, and so on."""
-    folder, content = elsewhere
-    before, calls = content(), ("lstat", "mkdir", "open", "scandir", "unlink", "rmdir", "replace")
-    for last in range(400):
-        d = tmp_path / f"d{last}"
-        place, met = d / ".out.laz.jaxfilter-run", []
-        shutil.copytree(folder, place)
-        place.chmod(0o700)  # what a killed run has left
-
-        def swapped(call, place=place, met=met, last=last):
-            original = getattr(os, call)
-
-            def shim(*arguments, **options):
-                if arguments and not isinstance(arguments[0], int) and str(place) in os.fspath(arguments[0]):
-                    met.append(call)
-                    if len(met) == last + 1 and os.path.isdir(place):
-                        os.rename(place, place.with_name("aside"))
-                        os.symlink(folder, place)
-                return original(*arguments, **options)
-
-            monkeypatch.setattr(os, call, shim)
-
-        for call in calls:
-            swapped(call)
-        try:
-            jf.ground(survey / "west.las", d / "out.laz", PMF, run=jf.RunOptions(overwrite=True, workers=1))
-        except (jf.OutputError, jf.InputError) as error:
-            assert str(place) in str(error)
-        finally:
-            monkeypatch.undo()
-        now = content()
-        assert {name: now.get(name, ())[:1] for name in before} == {name: before[name][:1] for name in before}, met[-1]
-        if len(met) <= last:
-            break
-        for name in now.keys() - before.keys():
-            assert not name.endswith(".laz")
-        shutil.rmtree(d)
-    assert 10 < last < 399
 
 
 def test_a_disk_that_knows_one_owner_only_is_no_reason_to_refuse(survey, tmp_path, monkeypatch):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import json
 import multiprocessing
 import os
-import pickle
 import re
 import shutil
 import struct
@@ -21,9 +19,8 @@ from las_files import las_of
 
 import jaxfilter as jf
 from jaxfilter.plots import footprints
-from jaxfilter.surveys import dask, tiles
-from jaxfilter.surveys.dask import Cluster
-from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
+from jaxfilter.surveys import tiles
+from jaxfilter.surveys.executors import Outcome, Pool, attempt
 from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
 from jaxfilter.surveys.product import do_tile
 from jaxfilter.surveys.report import RunReport
@@ -319,26 +316,8 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     assert damaged <= {number for name, number in again.calls if name == "do_tile"}
 
 
-PLACES = {
-    "run.json": f"{KEPT}/run.json", "output": "*.laz", "report": "jaxfilter-run.*", "tiles": f"{KEPT}/tiles/**/*.tile",
-    "index": f"{KEPT}/index/**/*.npz", "folder": KEPT,
-}  # fmt: skip
-"""What lies in the folder of a run; the last three only until it is complete."""
 REFUSED = ("empty", "cut", "something else", "noise", "zeros", "another number", "other JSON")
 """Damages of run.json that nothing makes up for."""
-WAYS = [("run.json", how) for how in REFUSED]
-WAYS += [
-    pytest.param(what, how, marks=pytest.mark.slow)
-    for what, ways in {
-        "run.json": ("missing", "one bit", "longer", "a folder"),
-        "output": ("missing", "empty", "cut", "something else", "noise", "zeros", "one bit", "longer"),
-        "tiles": ("missing", "empty", "cut", "something else", "noise", "zeros", "one bit", "longer"),
-        "index": ("missing", "empty", "cut", "something else", "noise"),
-        "report": ("missing", "empty", "cut", "something else"),
-        "folder": ("missing",),
-    }.items()
-    for how in ways
-]
 
 
 def damage(path, how, rng):
@@ -366,16 +345,16 @@ def damage(path, how, rng):
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
-@pytest.mark.parametrize("what, how", WAYS)
-def test_damage_of_what_a_run_keeps_or_wrote_leads_to_no_wrong_output(files, done, tmp_path, what, how):
+@pytest.mark.parametrize("what, how", [
+    *[("run.json", how) for how in REFUSED],
+    *[pytest.param("run.json", how, marks=pytest.mark.slow) for how in ("missing", "one bit", "longer", "a folder")],
+    *[pytest.param("report", how, marks=pytest.mark.slow) for how in ("missing", "something else")],
+])  # fmt: skip
+def test_damage_of_what_a_run_keeps_leads_to_no_wrong_output(files, done, tmp_path, what, how):
     out, executor = tmp_path / "out", Here()
-    if what in ("tiles", "index", "folder"):
-        with pytest.raises(KeyboardInterrupt):
-            run(files, out, Here(3, stop_after=8))
-    else:
-        shutil.copytree(done[0], out)
-    path = sorted(out.glob(PLACES[what]))[-1]
-    damage(path, how, np.random.default_rng(0))
+    shutil.copytree(done[0], out)
+    place = {"run.json": f"{KEPT}/run.json", "report": "jaxfilter-run.json"}[what]
+    damage(out / place, how, np.random.default_rng(0))
     before = contents(out)
     try:
         report = run(files, out, executor, resume=True)
@@ -384,8 +363,7 @@ def test_damage_of_what_a_run_keeps_or_wrote_leads_to_no_wrong_output(files, don
         assert "run.json: is damaged" in str(error) or how not in REFUSED
         assert executor.calls == [] and contents(out) == before
     else:
-        assert what != "run.json" and report.complete and contents(out) == contents(done[0])
-        assert bool(report.again) == (what == "output")
+        assert what == "report" and report.complete and contents(out) == contents(done[0]) and not report.again
     assert run(files, out, overwrite=True).complete and contents(out) == contents(done[0])
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
@@ -572,76 +550,6 @@ def test_options_of_runs_are_checked():
     for wrong in ({"workers": 0}, {"memory": 0.0}):
         with pytest.raises(jf.ParameterError, match=next(iter(wrong))):
             jf.RunOptions(**wrong)
-
-
-class Scheduler:
-    """What a client of Dask does with one thread: bundles are done when they are submitted, but for the ``deadly`` ones."""
-
-    def __init__(self, deadly=lambda calls: False):
-        self.deadly, self.bundles, self.held = deadly, [], 0
-
-    def nthreads(self):
-        return {"worker": 1}
-
-    def map(self, function, bundles, key, pure):
-        assert len(set(key)) == len(bundles) and not pure
-        self.held = max(self.held, len(bundles))
-        return [Future(self, name, function, bundle) for name, bundle in zip(key, bundles, strict=True)]
-
-
-class Future:
-    def __init__(self, owner, key, function, bundle):
-        self.key, self.failed = key, owner.deadly(pickle.loads(bundle))
-        self.value = None if self.failed else function(bundle)
-        owner.bundles.append(0 if self.failed else len(self.value[0]))
-
-    def add_done_callback(self, call):
-        call(self)
-
-    def result(self):
-        if self.failed:
-            raise RuntimeError("the worker died")
-        return self.value
-
-    def release(self):
-        pass
-
-
-def numbers(client, count):
-    """What a cluster makes of ``abs`` of as many numbers, in the order in which they end."""
-    pytest.importorskip("distributed")
-    todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
-    return [outcome.value for _, outcome in carried_out(Cluster(client), todo, collections.deque(), lambda: None)]
-
-
-def test_a_scheduler_is_given_short_tasks_in_bundles_and_long_ones_one_by_one(monkeypatch):
-    client = Scheduler()
-    assert sorted(numbers(client, 1000)) == list(range(1000))
-    assert client.held <= 2 and sum(client.bundles) == 1000 and max(client.bundles) <= 100
-    assert len(client.bundles) < 40 and client.bundles[:2] == [1, 1]
-    monkeypatch.setattr(dask, "_LASTS", 0.0)
-    client = Scheduler()
-    assert sorted(numbers(client, 50)) == list(range(50)) and client.bundles == [1] * 50
-
-
-def test_a_bundle_ends_when_its_time_is_over_and_what_it_left_is_done_once(monkeypatch):
-    """The seventh bundle and later ones do one task each, whatever they hold."""
-
-    def soon_over(calls):
-        if len(client.bundles) == 6:
-            monkeypatch.setattr(dask, "_LASTS", 0.0)
-        return False
-
-    client = Scheduler(soon_over)
-    assert sorted(numbers(client, 60)) == list(range(60))
-    assert max(client.bundles[:6]) > 1 and set(client.bundles[6:]) == {1} and sum(client.bundles) == 60
-
-
-def test_what_kills_workers_is_told_from_what_was_with_it():
-    client = Scheduler(lambda calls: (abs, (77,)) in calls)
-    found = numbers(client, 200)
-    assert sorted(n for n in found if n is not None) == [n for n in range(200) if n != 77] and found.count(None) == 1
-    assert client.bundles.count(0) == 4, "with others, and three times alone"
 
 
 def test_a_report_and_a_map_lie_beside_the_files(done):

@@ -10,7 +10,6 @@ import shutil
 import geopandas
 import laspy
 import numpy as np
-import pandas as pd
 import pyproj
 import pytest
 import shapely
@@ -20,7 +19,6 @@ import jaxfilter as jf
 from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
-from jaxfilter.surveys import verdicts
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -407,29 +405,6 @@ def test_verdicts_follow_no_link_in_place_of_their_folders(survey, tmp_path, nam
     assert (states(survey) == before) != passes and (survey / name).is_symlink()
     assert {one: (elsewhere / one).read_text() for one in kept} == {one: one for one in kept}
     assert len(list(elsewhere.rglob("*"))) == 4 and elsewhere.stat().st_mtime == 1e9
-
-
-@pytest.mark.parametrize("word", ["object", "fine"])
-def test_what_another_run_notes_meanwhile_stays_in_the_log(survey, monkeypatch, word):
-    """It comes when the first one has read the log, and is noted then, or is refused and noted when it comes again."""
-    others, noted = table(river="water"), []
-    read = verdicts._Log.holds
-
-    def holds(log, one):
-        monkeypatch.undo()
-        try:
-            noted.append(jf.apply_survey(others, survey, run=ONE).applied)
-        except jf.OutputError as error:
-            assert "another run is writing into this folder" in str(error)
-        return read(log, one)
-
-    monkeypatch.setattr(verdicts._Log, "holds", holds)
-    assert jf.apply_survey(table(house=word), survey, run=ONE).applied == {word: 1}
-    assert (noted or [jf.apply_survey(others, survey, run=ONE).applied]) == [{"water": 1}]
-    log = json.loads((survey / "verdicts.json").read_text())
-    assert sorted(one["verdict"] for one in log["verdicts"]) == sorted([word, "water"])
-    again = jf.apply_survey(pd.concat([table(house=word), others]), survey, run=ONE)
-    assert again.before == 2 and again.files == [] and not list(survey.glob(".*"))
 
 
 def test_a_dry_run_notes_no_verdict(survey):
