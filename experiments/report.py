@@ -52,7 +52,7 @@ def made(path: Path) -> Made | None:
     return Made(found[1], found[2], int(found[3].replace(",", "")), dict(_COUNTS.findall(labels[0])))
 
 
-def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ()) -> None:
+def write_page(path: Path, text: str, command: str, methods: Iterable[str] = (), *, keeps: bool = False) -> None:
     """Write a page of results: after its title the command, date, duration and machine, and at its end the labels that it
     stands on, by which ``experiments/remake.py`` tells whether it is stale.
 
@@ -61,6 +61,7 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
         command: what makes this page anew, such as "python experiments/tiles/run.py".
         methods: whose labels the figures depend on, and "scenes" if simulated scenes are behind them. Names that are no
             method are passed over. None for pages on speed or files only.
+        keeps: rows of methods whose labels have not changed are kept; then the duration is that of the longest run.
     """
     global _started
     from experiments.remake import SCENES
@@ -72,7 +73,7 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
     spent, _started = time.perf_counter() - _started, time.perf_counter()
     seconds = _spent[path] = _spent.get(path, 0.0) + spent  # a page may be written again and again
     before = made(path)
-    if before and before.labels.items() & counts.items():  # rows of methods that have not changed may have been kept
+    if keeps and before and before.labels.items() & counts.items():
         seconds = max(seconds, before.seconds)
     command = re.sub(r" --data \S+", "", command)
     date = time.strftime("%Y-%m-%d %H:%M", time.gmtime())

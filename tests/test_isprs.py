@@ -61,17 +61,9 @@ QUICK = ("ost", "ptd", "csf")
 """Each stands for its kind. tests/test_experiments.py notices changes of the labels of all methods, on other clouds."""
 
 
-STALE = pytest.mark.xfail(
-    reason="the table is older than the labels: experiments/README.md lists such pages", strict=True
-)
-
-
 @pytest.mark.parametrize(
     "method",
-    [
-        pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK) + [STALE] * (one == "ptd"))
-        for one in spaces.method_names()
-    ],
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in spaces.method_names()],
 )
 def test_errors_with_the_parameters_for_the_cloud_are_those_of_the_table(sample, method):
     """Exact counts of the three smallest samples: they guard against unintended change. A change that is meant runs

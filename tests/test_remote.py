@@ -314,6 +314,27 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     assert refused.calls == []
 
 
+@pytest.mark.slow
+def test_products_into_an_object_store(tmp_path, bucket, west_and_east):
+    """The files that a local folder has, byte for byte; the page has no pictures of what is elsewhere."""
+    only = ["hillshade", "voids", "contours"]
+
+    def into_store(out, **how):
+        return jf.products(west_and_east, out, PMF, only=only, run=options(**how))
+
+    assert into_store(tmp_path / "local").complete
+    with pytest.raises(jf.ParameterError, match="pass work="):
+        into_store("s3://surveys/products")
+    assert into_store("s3://surveys/products", work=tmp_path / "work").complete
+    bucket.invalidate_cache()
+    names = [f"classified/{side}.laz" for side in ("east", "west")] + ["hillshade.tif", "voids.tif", "contours.gpkg"]
+    for name in names:
+        assert bucket.cat_file(f"surveys/products/{name}") == (tmp_path / "local" / name).read_bytes(), name
+    assert b'href="voids.tif"' in bucket.cat_file("surveys/products/survey.html")
+    with pytest.raises(jf.OutputError, match=r"products/hillshade\.tif: the file exists"):
+        into_store("s3://surveys/products", work=tmp_path / "work")
+
+
 def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
     source, out = west_and_east / "west.laz", "s3://surveys/one"
     fields = ["ground", "pmf", "--max-window=9.0", "--no-low-clusters"]

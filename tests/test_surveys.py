@@ -168,6 +168,34 @@ def test_a_folder_is_classified_in_place(survey, tmp_path):
     assert all("HeightAboveGround" in laspy.read(path).point_format.dimension_names for path in files.iterdir())
 
 
+@pytest.mark.slow
+def test_text_beside_las(survey, tmp_path):
+    """Text has the labels that its points have as LAS, with the neighbour in another format."""
+    las = laspy.read(survey / "east.las")
+    las.classification[:], las.return_number[:], las.number_of_returns[:] = 0, 1, 1
+    plain = tmp_path / "east.las"
+    las.write(plain)
+    table = np.column_stack([las.xyz, las.intensity])
+    np.savetxt(tmp_path / "east.csv", table, fmt="%.2f", delimiter=",", header="x,y,z,i", comments="")
+    labels = {}
+    for source in (plain, tmp_path / "east.csv"):
+        out = tmp_path / f"out-{source.suffix[1:]}"
+        how = (*FIELDS, "--tile", 50, "--workers", 1, "--json", "-q")
+        done = run("ground", "pmf", survey / "west.las", source, f"{out}/", *how)
+        assert done.exit_code == 0, done.output
+        report = json.loads(done.stdout)
+        assert report["complete"] and len(report["files"]) == 2 and report["tiles"] > 4
+        labels[source.suffix] = jf.read(out / source.name, units="m").reference
+    np.testing.assert_array_equal(labels[".las"], labels[".csv"])
+    assert 0.1 < labels[".csv"].mean() < 0.98
+    lines = (tmp_path / "out-csv" / "east.csv").read_text().splitlines()
+    before = (tmp_path / "east.csv").read_text().splitlines()
+    assert [line.rpartition(",")[0] for line in lines[1:]] == before[1:]
+    csv = tmp_path / "out-csv" / "east.csv"
+    model = run("dtm", survey / "west.las", csv, tmp_path / "dtm.tif", "--filter", "pmf")
+    assert model.exit_code == 0 and np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
+
+
 class Dies(Here):
     """Killed when ``function`` was done so often, before anyone heard of the last one."""
 

@@ -507,7 +507,7 @@ def main(arguments: list[str] | None = None) -> None:
     write_csv(options.out / "summary.csv", lines)
     command = shlex.join(["python", "experiments/ablations/run.py", *given])
     methods = {v.name.split(":")[0].lower() for v in chosen}
-    write_page(options.out / "results.md", report(lines, rows, len(options.samples)), command, methods)
+    write_page(options.out / "results.md", report(lines, rows, len(options.samples)), command, methods, keeps=True)
     figure(lines, options.out / "total.png")
     print(f"results are in {options.out}")
 

@@ -419,7 +419,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     rows = varied(samples.data_folder(options.data), options.out / "flat.csv")
     drawn(rows, options.out / "flat.png")
-    write_page(options.out / "flat.md", page(rows), "python experiments/default/flat.py", ("ost", "scenes"))
+    write_page(options.out / "flat.md", page(rows), "python experiments/default/flat.py", ("ost", "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
 

@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     command = shlex.join(["python", "experiments/default/run.py", *given])
     others = [] if "methods" in options.skip else METHODS
     others = others if "scenes" in options.skip else options.scene_methods
-    write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"))
+    write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
 

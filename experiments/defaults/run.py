@@ -47,7 +47,9 @@ def main(arguments: list[str] | None = None) -> None:
     command = shlex.join(["python", "experiments/defaults/run.py", *given])
     tables = [table(choice, [row for row in rows if row["choice"] == choice.name]) for choice in asked]
     write_csv(options.out / "means.csv", [line for lines in tables for line in lines])
-    write_page(options.out / "results.md", report(asked, tables), command, (*{c.method for c in asked}, "scenes"))
+    write_page(
+        options.out / "results.md", report(asked, tables), command, (*{c.method for c in asked}, "scenes"), keeps=True
+    )
     for choice, lines in zip(asked, tables, strict=True):
         print(f"{choice.name}\n{_markdown(lines)}\n")
 

@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     pictures = _pictures(options, folder, numbers, chosen, summaries) if options.figures else []
     command = shlex.join(["python", "experiments/isprs/run.py", *given])
     text = tables.report(options.repeats, options.budget, chosen, claims, pictures)
-    write_page(options.out / "results.md", text, command, options.methods)
+    write_page(options.out / "results.md", text, command, options.methods, keeps=True)
     for name, rows in chosen.items():
         print(f"{name}\n{tables.summary(rows)}\n")
     print(f"results are in {options.out}")

@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
             write_csv(options.out / f"{measure}.csv", known)
         print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
     command = shlex.join(["python", "experiments/scenes/run.py", *given])
-    write_page(options.out / "results.md", page.page(tables), command, words)
+    write_page(options.out / "results.md", page.page(tables), command, words, keeps=True)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     print(f"results are in {options.out}, {sum(one.ru_utime + one.ru_stime for one in used):,.0f} s of processors")
 
