@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search
-from experiments.report import Row
+from experiments.report import Row, machine
 from jaxfilter.sweeps.comparison import timed
 
 
@@ -23,7 +23,7 @@ def sample_row(
     row["barred"] = int(result.barred.sum())
     row["barred_ground"] = int((result.barred & cloud.reference).sum())
     row["barred_ground_kept"] = int((result.barred & cloud.reference & result.ground).sum())
-    return row | {"parameters": search.digest(filter_)}, result
+    return row | {"parameters": search.digest(filter_), "machine": machine()}, result
 
 
 def failed_row(name: str, method: str, cloud: jf.PointCloud, error: Exception) -> Row:

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import figures, measure, protocols, samples, search, spaces, tables
-from experiments.report import Row, read_csv, write_csv, write_page
+from experiments.report import Row, machine, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 QUICK = ("24", "41", "52", "53")
@@ -76,10 +76,11 @@ def _one_set(
     options: argparse.Namespace, folder: Path, numbers: Sequence[str], methods: Sequence[str], make: Maker
 ) -> list[Row]:
     """Rows of one set per method: one run after the other so that nothing disturbs the clock. All that is measured
-    is kept in ``search/timed.csv`` and not run again."""
+    on one machine is kept in ``search/timed.csv`` and not run again there."""
     path = options.out / "search" / "timed.csv"
     path.parent.mkdir(exist_ok=True)
-    known = {_key(row): row for row in (read_csv(path) if path.exists() else []) if search.current(row)}
+    before = read_csv(path) if path.exists() else []
+    known = {_key(row): row for row in before if search.current(row) and row.get("machine") == machine()}
     rows = []
     for number in numbers:
         sample, cloud = f"samp{number}", None
