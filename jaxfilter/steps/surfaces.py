@@ -157,7 +157,7 @@ def steepest_drops(
     """
 
     def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
-        return jnp.maximum(steepest, (before - opened) / (k + 1))
+        return jnp.maximum(steepest, (before - opened) / (k + 1).astype(z.dtype))
 
     radii, none = jnp.arange(1, most + 1), jnp.zeros_like(z)
     return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
