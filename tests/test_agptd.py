@@ -155,6 +155,11 @@ def test_labelled_objects_are_taken_away_reproducibly(rng):
             without_labelled_objects(cloud, share, key)
 
 
+def test_cells_that_are_too_small_are_refused_however_many_there_are():
+    with pytest.raises(jf.InputError, match=r"seed_cell=1e-06 m with 8 grid levels.*use larger cells"):
+        jf.AGPTD(seed_cell=1e-6, levels=8)(hills()[0])
+
+
 def test_labelled_objects_that_coincide_with_ground_stay():
     xyz = [[0.0, 0, 0], [0, 0, 0], [5, 0, 1], [5, 0, 1], [0, 5, 2], [5, 5, 3]]
     cloud = jf.PointCloud.from_arrays(xyz, reference=np.array([True, False, False, False, True, True]))
