@@ -111,7 +111,7 @@ def at_call(monkeypatch, owner, name, number, action):
 @pytest.fixture
 def in_parts(monkeypatch):
     """Files are read a hundred points at a time."""
-    monkeypatch.setattr(records, "CHUNK", 100)
+    monkeypatch.setattr(points, "CHUNK", 100)
     monkeypatch.setattr(blocks, "RUN", 100)
 
 

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from .errors import InputError
 from .frame import checked_anchor
 from .inputs import class_numbers
@@ -112,6 +114,12 @@ class Reading:
         ['last', 'only']
         """
         return frozenset(self.returns.split(","))
+
+
+def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """bool[n]: which f64[n, >=2] lie in the half-open ``bounds``."""
+    x, y = xy[:, 0], xy[:, 1]
+    return (x >= bounds[0]) & (x < bounds[2]) & (y >= bounds[1]) & (y < bounds[3])
 
 
 def check_bounds(bounds: object) -> Bounds:

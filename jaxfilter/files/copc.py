@@ -11,9 +11,11 @@ import numpy as np
 
 from ..core.errors import OutputError, warn
 from ..core.process import need_threads
-from . import records
-from .blocks import ENTRY
-from .header import HEADER_LENGTHS, RECORD_LENGTHS, Header, laszip_record, read_header, vlr
+from .disk import opened
+from .guard import laszip_record, read_header
+from .header import HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header
+from .points import vlr
+from .runs import ENTRY
 from .storage import Place
 
 SUFFIX = ".copc.laz"
@@ -47,17 +49,19 @@ def write_octree(plain: Path, target: Path) -> None:
     node has one point of each of ``GRID`` cells a side, in the order of the file, and its children have the rest, so that a
     level shows the whole at its spacing. Raises: OSError.
     """
-    header = read_header(plain)
+    header = _header(plain)
     if FORMATS[header.point_format] != header.point_format:
         plain = _converted(plain, header.point_format)
-        header = read_header(plain)
+        header = _header(plain)
     n, length, number = header.count, header.record_length, header.point_format
     points = np.memmap(plain, np.uint8, "r", len(header.head), (n, length)) if n else np.zeros((0, length), np.uint8)
-    corner, side, order, keys, counts = _octree(header, records.integers(points))
+    corner, side, order, keys, counts = _octree(header, points[:, :12].view("<i4"))
     compressor = laszip_record(number, length - RECORD_LENGTHS[number], variable=True)
-    head, size = header.rewritten(compressor, drop="copc").head, HEADER_LENGTHS[4]
-    front = bytearray(head[:size] + vlr("copc", 1, bytes(160), "COPC info") + head[header.size :])
-    struct.pack_into("<HII", front, 94, size, len(front), struct.unpack_from("<I", head, 100)[0] + 1)
+    head, size = header.head, HEADER_LENGTHS[4]
+    kept = [record for record in header.vlrs if record.key[0] != "copc"]
+    blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in kept)]
+    front = bytearray(head[:size] + b"".join(blocks) + vlr(*LASZIP, compressor))
+    struct.pack_into("<HIIB", front, 94, size, len(front), len(blocks) + 1, 0x80 | number)
     need_threads()
     with open(target, "x+b") as file:
         file.write(front)
@@ -89,6 +93,11 @@ def write_octree(plain: Path, target: Path) -> None:
         struct.pack_into("<2QIQ", front, 227, 0, evlrs, 1 + len(kept), n)
         file.seek(0)
         file.write(front)
+
+
+def _header(plain: Path) -> Header:
+    with opened(plain) as (file, identity):
+        return read_header(plain, file, identity)
 
 
 def _octree(header: Header, ticks: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray, np.ndarray]:

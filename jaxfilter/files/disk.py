@@ -18,6 +18,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -78,6 +79,18 @@ class Identity:
             return Identity.of(path) != self
         except (OSError, InputError):
             return True
+
+
+@contextlib.contextmanager
+def opened(place: Place) -> Iterator[tuple[BinaryIO, Identity]]:
+    """An open file and its identity. Raises InputError, OSError."""
+    if isinstance(place, Remote):
+        identity = Identity.of(place)
+        with place.open(identity.size) as file:
+            yield file, identity
+    else:
+        with open(place, "rb") as file:
+            yield file, Identity.of(file.fileno())
 
 
 @dataclasses.dataclass(frozen=True)

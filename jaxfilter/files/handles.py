@@ -6,14 +6,15 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from ..core.errors import InputError
-from . import records, text
-from .disk import CHANGED_SINCE, Bounds, Identity, Tally
-from .header import Header, read_header
+from . import text
+from .disk import CHANGED_SINCE, Bounds, Identity
+from .header import Header
+from .points import Points, coordinates, read_points
 from .storage import Place
 
 
@@ -23,64 +24,49 @@ class Handle:
 
     Attributes:
         path: absolute, or remote.
-        kind: ``"las"`` (LAS, LAZ and COPC) or ``"text"``.
         format: in words, for messages.
         points: number of points taken from the file, the length of the cloud.
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
         identity: of the file when it was read.
-        checksum: of the coordinates of the points, see :class:`jaxfilter.files.disk.Tally`: labels can so never get to
-            other points, even if a file is changed and its time set back. None where the points were read in windows.
+        header: of LAS, LAZ and COPC; None = text.
         rows: bool of all points of a LAS file, those that were taken; None = those inside the bounds.
-        blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
     """
 
     path: Place
-    kind: str
     format: str
     points: int
     bounds: Bounds | None
     identity: Identity
-    checksum: int | None
-    blocks: Any = None
+    header: Header | None = None
     rows: np.ndarray | None = None
 
     def layout(self) -> text.Layout:
         """That of a text file. Raises InputError."""
         return text.layout_of(cast(Path, self.path))
 
-    def header(self) -> Header:
-        """That of a LAS file. Raises InputError."""
-        with records.reading_errors(self.path):
-            return read_header(self.path)
+    def records(self, every_field: bool = True) -> Iterator[Points]:
+        """The points of a LAS file, read once more. Raises InputError."""
+        assert self.header is not None
+        for points, number in read_points(self.header, self.bounds, every_field):
+            yield points if self.rows is None else points[self.rows[number]]
 
-    def records(self, header: Header, tally: Tally, every_field: bool = True) -> Iterator[np.ndarray]:
-        """The records of a LAS file, u8[k, record_length], read once more and added to ``tally``. Raises InputError."""
-        for chunk, number in records.read_records(header, self.bounds, every_field, self.blocks):
-            chunk = chunk if self.rows is None else chunk[self.rows[number]]
-            tally.add(chunk[:, :12].view("V12"))  # in one piece, which is copied faster
-            yield chunk
-
-    def runs(self, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-        """The points, read once more and added to ``tally``: coordinates f64[k, 3] in file units and, of text, columns named
-        as those of a cloud. Raises InputError."""
-        if self.kind == "las":
-            header = self.header()
-            for chunk in self.records(header, tally, every_field=False):
-                yield records.coordinates(chunk, header), {}
+    def runs(self) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+        """The points, read once more: coordinates f64[k, 3] in file units and, of text, columns named as those of a cloud.
+        Raises InputError."""
+        if self.header is not None:
+            for points in self.records(every_field=False):
+                yield coordinates(points, self.header), {}
         else:
-            for xyz, columns in text.read_text(self.layout(), self.bounds):
-                tally.add(xyz)
-                yield xyz, columns
+            yield from text.read_text(self.layout(), self.bounds)
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
-        with self.again() as tally:
-            return np.concatenate([np.zeros((0, 3)), *(xyz for xyz, _ in self.runs(tally))])
+        with self.again():
+            return np.concatenate([np.zeros((0, 3)), *(xyz for xyz, _ in self.runs())])
 
     @contextlib.contextmanager
-    def again(self) -> Iterator[Tally]:
-        """A block in which the points are read once more, and added to what it is given. Raises: InputError if the file is
-        gone, or if the file or its points are not those that were read."""
+    def again(self) -> Iterator[None]:
+        """A block in which the points are read once more. Raises: InputError if the file is gone, or not the one that was read."""
         try:
             found = Identity.of(self.path)
         except OSError as error:
@@ -88,7 +74,5 @@ class Handle:
             raise InputError(f"{lost}; put it back, or read it again where it is now") from error
         if found != self.identity:
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
-        tally = Tally(self.path, self.points, self.checksum)
         with self.identity.kept(self.path, CHANGED_SINCE):
-            yield tally
-            tally.finish()
+            yield

@@ -17,15 +17,17 @@ from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
-from ..core.reading import Reading
+from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, linear_units, not_metric, reference_of, sampled
-from . import records, text
+from . import text
 from .classes import Classes, class_changes
-from .disk import CHANGED_IN_READING, Bounds, Identity, Tally
+from .disk import CHANGED_IN_READING, Bounds, Identity, opened
+from .guard import check_chunks, read_header, reading_errors
 from .handles import Handle
-from .header import Header, opened, read_header
-from .records import inside, read_records, reading_errors
+from .header import Header
+from .points import CHUNK, attributes, integers, read_points, sampled_extent
+from .runs import Runs
 from .storage import Place, Remote, place_of
 from .writing import LAS_SUFFIXES, write
 
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
+_FILES = 64  # whose headers a process keeps
 _OF_FILES = ("bounds", "aoi")  # fields of Reading that say which points of a file are read
 
 
@@ -52,7 +55,7 @@ def read(
     anchor: Iterable[float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> PointCloud:
-    """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
+    """Read a point cloud: LAS 1.0 to 1.5 and LAZ of every point format, COPC, or text.
 
     Text has lines of x y z, or x y z label as in the ISPRS samples (0 = ground, 1 = object), separated by white space,
     commas, semicolons or, below a header, tabs; with a header line, columns are found by their names (x, y, z, label,
@@ -167,10 +170,12 @@ def is_text(path: Place) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class LasFile:
-    """The header of a LAS file, and what it says of its coordinates."""
+    """The header of a LAS file, what it says of its coordinates, and the lowest and highest x, y, z of some points, f64[2, 3],
+    None where no point was looked at."""
 
     header: Header
     reference: Reference
+    extent: np.ndarray | None = None
 
     def cloud(
         self,
@@ -178,42 +183,40 @@ class LasFile:
         progress: Progress = silent,
         *,
         strict: bool = True,
-        chunks: Iterable[np.ndarray] | None = None,
-        most: int | None = None,
+        runs: Runs | None = None,
+        record: list[np.ndarray] | None = None,
     ) -> PointCloud:
         """The points inside ``reading.bounds``, in the units asked for, or of the CRS, or in metres with a warning.
 
         Args:
             strict: coordinates that cannot be lengths are an error, not a warning, where no units are asked for.
-            chunks: the records of these points, u8[k, record_length] at a time; by default they are read. ``most``: there are
-                as many or fewer.
+            runs: as of :func:`read_points`.
+            record: a list to which the numbers of the points in the file are appended, i64[k] in pieces.
 
         Raises: InputError.
         """
-        header = self.header
+        header, cut = self.header, reading.bounds
         path, scales, offsets = header.path, header.scales, header.offsets
         reference = reading.stated.of(self.reference, str(path))
         units = linear_units(reference, str(path))
-        most = header.count if most is None else most
-        if chunks is None:
-            chunks = (chunk for chunk, _ in read_records(header, reading.bounds, every_field=False))
+        most = header.count if runs is None or cut is None else int(runs.meeting(cut).points.sum())
+        named = [name for name in COLUMNS if header.point_format >= 6 or name != "overlap" or header.upper]
         with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
-            named = [name for name in COLUMNS if header.point_format >= 6 or name != "overlap"]
             columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
-        identity, tally = cast(Identity, header.identity), Tally()
-        with identity.kept(path, CHANGED_IN_READING):
-            for number, chunk in enumerate(chunks):
-                progress(min(1.0, number * records.CHUNK / max(header.count, 1)), "read")
-                rows = slice(n, n + len(chunk))
-                ticks[rows] = records.integers(chunk)
-                tally.add(ticks[rows])
-                for name, values in records.attributes(chunk, header.point_format).items():
+        with header.identity.kept(path, CHANGED_IN_READING):
+            for number, (points, numbers) in enumerate(read_points(header, cut, header.upper != {}, runs)):
+                progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
+                rows = slice(n, n + len(points))
+                ticks[rows] = integers(points)
+                for name, values in attributes(points, header).items():
                     columns[name][rows] = values
+                if record is not None:
+                    record.append(numbers)
                 n = rows.stop
         if n < most:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
-        stated = reference.units is not None or reading.bounds is not None
+        stated = reference.units is not None or cut is not None
         if reading.units is None:
             _check_lengths(path, ticks[sampled(n)] * scales + offsets, n, stated, strict)
         is_ground = columns["classification"] == GROUND_CLASS
@@ -224,18 +227,26 @@ class LasFile:
             dataclasses.replace(reading, units=units),
             name=str(path),
             crs=reference.crs,
-            source=Handle(path.absolute(), "las", str(header), n, reading.bounds, identity, tally.checksum),
+            source=Handle(path.absolute(), str(header), n, cut, header.identity, header),
             reference=is_ground if is_ground.any() else None,
             **columns,
         )
 
 
 def open_las(path: Place, tables: bool = True) -> LasFile:
-    """The header of a LAS file, see :func:`read_header`, and its CRS. Raises InputError. Warns: as :func:`read`."""
+    """The header of a LAS file and its CRS, both checked.
+
+    ``tables=False`` does not look among the points: whether chunks of LAZ hold as many as announced is then not checked.
+    Raises InputError. Warns: as :func:`read`.
+    """
     with reading_errors(path):
-        header = read_header(path, tables)
-        stated = {}
-        with header.open() as file:
+        with opened(path) as (file, identity):
+            header, extent = read_header(path, file, identity), None
+            if tables:
+                header = dataclasses.replace(header, unread=check_chunks(header, file))
+                if header.count and not isinstance(path, Remote):
+                    extent = sampled_extent(header, file)
+            stated = {}
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
                 if record.key in STATED and size <= _LARGEST_CRS:
@@ -243,7 +254,19 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
                     stated[record.key[1]] = file.read(size)
         for remark in header.remarks():
             warn(f"{path}: {remark}")
-        return LasFile(header, reference_of(stated, str(path)))
+        return LasFile(header, reference_of(stated, str(path)), extent)
+
+
+def kept_las(path: Place, tables: bool = False) -> LasFile:
+    """:func:`open_las`. Those of the last files are kept as long as the files stay the same, since every tile asks for them."""
+    with reading_errors(path):
+        return _kept_las(path, Identity.of(path), tables)
+
+
+@functools.lru_cache(_FILES)
+def _kept_las(path: Place, identity: Identity, tables: bool) -> LasFile:
+    """``identity`` is that of the file now."""
+    return open_las(path, tables)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -269,7 +292,7 @@ class TextFile:
 
     def cloud(self, reading: Reading, progress: Progress = silent, *, strict: bool = True) -> PointCloud:
         """The points, which are those inside ``reading.bounds``; ``strict``: as of :class:`LasFile`."""
-        xyz, columns, tally = self.xyz, dict(self.columns), Tally()
+        xyz, columns = self.xyz, dict(self.columns)
         is_ground = columns.get("classification", np.zeros(0)) == GROUND_CLASS
         if "reference" not in columns and is_ground.any():
             columns["reference"] = is_ground
@@ -277,10 +300,7 @@ class TextFile:
             some = xyz[sampled(len(xyz))]
             some = some[np.isfinite(some).all(axis=1)]
             _check_lengths(self.path, some, len(xyz), reading.bounds is not None, strict)
-        tally.add(xyz)
-        source = Handle(
-            self.path.absolute(), "text", str(self.layout), len(xyz), reading.bounds, self.identity, tally.checksum
-        )
+        source = Handle(self.path.absolute(), str(self.layout), len(xyz), reading.bounds, self.identity)
         fields: dict[str, Any] = columns | _fields(reading) | {"units": reading.metres}
         return PointCloud.from_arrays(xyz, name=str(self.path), source=source, **fields)
 

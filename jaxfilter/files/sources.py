@@ -11,11 +11,12 @@ from typing import Any, cast
 import numpy as np
 import pyproj
 
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds
-from .reading import is_text, kept_text, open_las
+from .points import SMALL, measured
+from .reading import LasFile, is_text, kept_las, kept_text
 from .storage import Place, place_of
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
@@ -75,15 +76,18 @@ def _crs_of(wkt: str) -> pyproj.CRS:
 
 def fingerprint(place: Place) -> str:
     """What :attr:`Source.identity` of this file is now. Raises: InputError."""
-    return (
-        kept_text(cast(Path, place)).fingerprint if is_text(place) else open_las(place, tables=False).header.fingerprint
-    )
+    return kept_text(cast(Path, place)).fingerprint if is_text(place) else kept_las(place).header.fingerprint
 
 
-def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
-    """What can be known of a file before its points are read, from its header or, of text, from all of its lines. Raises:
-    InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it states
-    another CRS."""
+def describe_file(place: Place, stated: Stated = NOTHING, examine: bool = False) -> Source:
+    """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
+
+    ``examine``: look at some points of a file on a disk. If the header denies them, or states an extent that nothing can
+    have, all points are read and theirs is the extent.
+
+    Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
+    states another CRS. Warns: of a wrong extent.
+    """
     facts: dict[str, Any]
     if is_text(place):
         file, reference = kept_text(cast(Path, place)), Reference()
@@ -91,12 +95,9 @@ def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
         extent, some = np.stack(ends(xyz)) if len(xyz) else np.full((2, 3), math.nan), xyz[sampled(len(xyz))]
         facts = {"format": "text", "identity": file.fingerprint}
     else:
-        las = open_las(place, tables=False)
+        las = kept_las(place, tables=examine)
         header, reference, count = las.header, las.reference, las.header.count
-        extent = some = np.stack(header.extent)
-        if count and not ((abs(extent) < FARTHEST).all() and (extent[0] <= extent[1]).all()):
-            said = f"{extent[0].tolist()} to {extent[1].tolist()}"
-            raise InputError(f"{place}: the extent in its header is damaged: {said}; write the file anew to correct it")
+        extent = some = _extent_of(las)
         facts = {
             "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
             "point_format": header.point_format,
@@ -112,3 +113,23 @@ def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
     facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": reference.units or Units()}
     facts["wkt"] = None if reference.crs is None else reference.crs.to_wkt()
     return Source(str(place), count=count, **facts)
+
+
+def _extent_of(las: LasFile) -> np.ndarray:
+    """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless some points show that this cannot be."""
+    header, seen = las.header, las.extent
+    extent, slack = np.stack(header.extent), header.scales
+    if not header.count:
+        return extent
+    side = np.diff(extent, axis=0)[0]
+    possible = (abs(extent) < FARTHEST).all() and (side >= 0).all() and (side[:2].any() or header.count == 1)
+    if possible and seen is not None:
+        covers = (extent[0] <= seen[0] + slack).all() and (seen[1] - slack <= extent[1]).all()
+        most = 0 if header.count <= SMALL else np.diff(seen, axis=0)[0, :2]  # some points do not reach the edges
+        possible = covers and (side[:2] - np.diff(seen, axis=0)[0, :2] <= most + 2 * slack[:2]).all()
+    if possible:
+        return extent
+    found = seen if seen is not None and header.count <= SMALL else measured(header)[1]
+    stated, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (extent, np.round(found, 3)))
+    warn(f"{header.path}: its header states the extent {stated}, and its points lie in {true}, which is used")
+    return found

@@ -20,8 +20,9 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS, LARGEST
-from .disk import Bounds, Tally
-from .records import inside, reading_errors
+from ..core.reading import inside
+from .disk import Bounds
+from .guard import reading_errors
 
 SUFFIXES = (".txt", ".xyz", ".csv")
 GROUND, OBJECT = 0, 1
@@ -156,20 +157,19 @@ def rewrite_text(
     bounds: Bounds | None,
     ground: np.ndarray,
     classes: Callable[[np.ndarray, slice], np.ndarray],
-    tally: Tally,
 ) -> None:
     """Write a text file again, with the results in its label column, or else in its class column, or else in a new last
     column of labels. Other cells, comments and ends of lines stay; what separates cells becomes alike in all lines.
 
-    ``ground`` is bool[n], and ``classes(old, rows)`` gives the classes of a run of the cloud's points, which ``tally`` counts.
+    ``ground`` is bool[n], and ``classes(old, rows)`` gives the classes of a run of the cloud's points.
     """
     with open(layout.path, "rb") as file:
         target.write(_MARK if file.read(len(_MARK)) == _MARK else b"")
     replaced = [name for name in ("label", "classification") if name in layout.columns]
+    done = 0
     for run in _runs(layout):
         values, xyz, keep = run.points(bounds)
-        tally.add(xyz[keep])
-        rows = slice(tally.points - int(keep.sum()), tally.points)
+        rows = slice(done, done := done + int(keep.sum()))
         cells = run.texts(keep)
         if "label" in layout.columns or not replaced:
             column = layout.columns.get("label", layout.width)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import struct
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
-import lazrs
+import laspy
 import numpy as np
 import pyproj
 
@@ -17,13 +18,13 @@ from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
-from ..core.units import GEOKEYS, STATED, WKT, geokeys
-from . import copc, records, text
+from ..core.units import GEOKEYS, PROJECTION, STATED, WKT, geokeys
+from . import copc, text
 from .classes import Classes, Found, asked, findings_of, largest, table_of
-from .disk import Tally, new_file
+from .disk import CHANGED_SINCE, Identity, new_file
 from .handles import Handle
-from .header import FLOATS, RECORD_LENGTHS, Header, laszip_record, new_header
-from .records import CHUNK, Writer
+from .header import FLOATS, HEADER_LENGTHS, RECORD_LENGTHS, Header, Record
+from .points import CHUNK, Points, Writer, attributes, put_classes, vlr
 from .storage import Place, Remote, place_of
 
 HEIGHT = "HeightAboveGround"
@@ -100,10 +101,9 @@ def write(
     """Write the points of a cloud with their classes: .las and .laz, or .txt, .xyz and .csv with a label (0 = ground).
 
     A cloud from a LAS file is streamed from that file again: only the classes of candidates change, everything else is
-    copied byte for byte (header with its dates, scales, records, extra bytes, flags, integer coordinates, waveforms).
-    Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep
-    their other cells and their comments when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to
-    0.001 units (0.0001 if the text has more than three decimals).
+    kept (dates, scales, records, extra bytes, flags, integer coordinates, waveforms). Counts and extent in the header become
+    those of the points. Clouds from text keep their other cells when written as text. Clouds without a LAS file become LAS
+    1.4, point format 6, to 0.001 units (0.0001 if the text has more than three decimals).
 
     A name that ends in .copc.laz makes a COPC file: the same records in the order of an octree. Point formats 0 to 3 become 6 and
     7 then, which is said; those with waveforms (4, 5, 9, 10) are refused. COPC that is written as .laz loses its octree.
@@ -164,21 +164,21 @@ def write_cloud(
         if result is None:
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
         named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
-        table = None if source is None or source.kind == "las" else source.layout()
+        table = None if source is None or source.header is not None else source.layout()
         named += [] if table is not None and "classification" in table.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if (octree := copc.is_copc(path)) and source is not None and source.kind == "las":
-        copc.check_format(path, source.header().point_format)
+    if (octree := copc.is_copc(path)) and source is not None and source.header is not None:
+        copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
-    again = contextlib.nullcontext(Tally()) if source is None else source.again()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as tally:
+    again = contextlib.nullcontext() if source is None else source.again()
+    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again:
         if kind in text.SUFFIXES:
-            _write_text(path, temporary, cloud, labels, tally)
+            _write_text(path, temporary, cloud, labels)
         else:
             plain = temporary.with_name("plain.las") if octree else temporary
-            with open(plain, "xb") as file:
-                _write_las(path, file, cloud, labels, tally)
+            with open(plain, "x+b") as file:
+                _write_las(path, file, cloud, labels)
             if octree:
                 copc.write_octree(plain, temporary)
     return path
@@ -218,24 +218,24 @@ class _Labels:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
         return np.asarray(self.table[self.code[rows], old])
 
-    def put(self, chunk: np.ndarray, rows: slice, point_format: int) -> None:
-        """Put classes into the records u8[k, record_length] of the points ``rows``."""
-        old = records.get(chunk, point_format, "classification")
+    def put(self, points: Points, rows: slice, header: Header) -> None:
+        """Put classes into the points ``rows``."""
+        old = attributes(points, header)["classification"]
         new = self.classes(old, rows)
-        if self.rule.overlap_flag and point_format >= 6:
-            flags = records.get(chunk, point_format, "overlap") | ((old == OVERLAP_CLASS) & (new != old))
-            records.put(chunk, point_format, "overlap", flags)
-        records.put(chunk, point_format, "classification", new)
+        if self.rule.overlap_flag and header.point_format >= 6:
+            points.overlap = np.asarray(points.overlap) | ((old == OVERLAP_CLASS) & (new != old))
+        put_classes(points, header, new)
 
 
-def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
+def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels) -> None:
     source: Handle | None = cloud.source
-    las = source if source is not None and source.kind == "las" else None
-    header = _fresh_header(path, cloud) if las is None else las.header()
-    chunks = _fresh_records(path, header, cloud, tally) if las is None else las.records(header, tally)
+    las = source if source is not None and source.header is not None else None
+    header = _fresh_header(path, cloud) if las is None else las.header
+    assert header is not None
+    chunks = _fresh_points(path, header, cloud) if las is None else las.records()
     number = header.point_format
     most = largest(labels.rule)
-    if number < 6 and most > 31:
+    if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
             "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
@@ -246,76 +246,36 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64: rename them first"
         )
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    compressor, octree = None, copc.is_copc(path)
-    if path.suffix.lower() == ".laz" and not octree:
-        compressor = laszip_record(number, header.record_length + 4 * len(added) - RECORD_LENGTHS[number])
+    octree = copc.is_copc(path)
+    compressed = path.suffix.lower() == ".laz" and not octree
     if header.is_copc and not octree:
-        kind = "LAS" if compressor is None else "LAZ"
-        warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
-    recount = las is None or las.bounds is not None or las.rows is not None
-    crs = None if las is None else _crs_record(path, header, cloud)
-    if las is not None and compressor is not None and not (recount or labels.extra or crs) and labels.z is None:
-        same = _untouched(las, header, labels)
-        if same.any():
-            _write_chunks(file, las, header, labels, same, tally)
-            return
-    writer = Writer(file, header.rewritten(compressor, added, crs), recount, labels.z is not None)
-    packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
+        warn(f"{path}: the input is COPC, the output is plain {'LAZ' if compressed else 'LAS'}, without an octree")
+    writer = Writer(file, header, compressed, added, None if las is None else _crs_record(path, header, cloud))
+    packed_waves = number in (9, 10) and (compressed or header.compressed)
     channels: set[int] = set()
-    for chunk in chunks:
-        rows = slice(tally.points - len(chunk), tally.points)
+    done = 0
+    for points in chunks:
+        rows = slice(done, done := done + len(points))
+        if done > len(labels.ground):
+            raise InputError(f"{header.path}: {CHANGED_SINCE}")
         if packed_waves:
-            channels |= set(np.unique(records.get(chunk, number, "channel")).tolist())
+            channels |= set(np.unique(points.scanner_channel).tolist())
             if len(channels) > 1:  # lazrs 0.8 mixes up the wave packets of different channels
                 raise OutputError(
                     f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
                     ".las for input and output"
                 )
-        labels.put(chunk, rows, number)
+        labels.put(points, rows, header)
         for name, dimension in existing.items():
-            values = labels.extra[name][rows].astype(FLOATS[dimension.data_type])
-            chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(chunk), -1)
+            values = labels.extra[name][rows].astype(FLOATS[dimension.data_type]).view(np.uint8)
+            at = slice(dimension.start, dimension.start + dimension.size)
+            points.array["ExtraBytes"][:, at] = values.reshape(len(points), -1)
         if labels.z is not None:
-            records.integers(chunk)[:, 2] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
-        if added:
-            columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
-            chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
-        writer.write(chunk)
+            points.array["Z"] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
+        writer.write(points, {name: labels.extra[name][rows] for name in added})
+    if done < len(labels.ground):
+        raise InputError(f"{header.path}: {CHANGED_SINCE}")
     writer.finish(None if las is None else header)
-
-
-def _untouched(source: Handle, header: Header, labels: _Labels) -> np.ndarray:
-    """bool[k]: the chunks of a file that was read in windows, in which no class changes; none of a file whose chunks cannot be
-    copied: other than plain LAZ, or with wave packets."""
-    blocks = source.blocks
-    if blocks is None or not header.compressed or header.is_copc or header.point_format in (9, 10):
-        return np.zeros(0, bool)
-    if lazrs.LazVlr(header.laszip).uses_variable_size_chunks() or not blocks.points.all():
-        return np.zeros(len(blocks), bool)
-    same = (labels.table == np.arange(256)).all(axis=1)
-    return np.asarray(np.logical_and.reduceat(same[labels.code], blocks.first))
-
-
-def _write_chunks(
-    file: BinaryIO, source: Handle, header: Header, labels: _Labels, same: np.ndarray, tally: Tally
-) -> None:
-    """A LAZ file once more: chunks that are the ``same``, bool[k], are copied, and not even decompressed."""
-    writer, counts, sizes = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist(), []
-    file.write(bytes(8))  # where the table of chunks will be
-    for chunk, points in zip(records.read_chunks(header, source.blocks, same), counts, strict=True):
-        if chunk.ndim == 1:
-            tally.points += points
-            sizes.append(file.write(chunk.data))
-        else:
-            tally.add(chunk[:, :12].view("V12"))
-            labels.put(chunk, slice(tally.points - points, tally.points), header.point_format)
-            sizes.append(file.write(records.in_one_chunk(chunk, header.laszip)))
-    end = file.tell()
-    with writer.encoded.heard():
-        lazrs.write_chunk_table(writer.encoded, list(zip(counts, sizes, strict=True)), lazrs.LazVlr(header.laszip))
-    file.seek(len(header.head))
-    file.write(end.to_bytes(8, "little"))
-    writer.finish(header)
 
 
 def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3)) -> np.ndarray:
@@ -354,51 +314,61 @@ def _wkt(path: Place, crs: pyproj.CRS) -> str | None:
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
+    """LAS 1.4, point format 6, without points yet."""
     decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
     wkt = None if cloud.crs is None else _wkt(path, cloud.crs)
-    today = datetime.date.today()
-    created = (today.timetuple().tm_yday, today.year)
-    return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)
+    record = b"" if wkt is None else vlr(PROJECTION, WKT, wkt.encode() + b"\0", "OGC WKT")
+    size, today = HEADER_LENGTHS[4], datetime.date.today()
+    block = bytearray(size)
+    struct.pack_into("<4sHH", block, 0, b"LASF", 0, 1 | 16)  # global encoding: adjusted GPS time, CRS as WKT
+    struct.pack_into("<BB32s32sHH", block, 24, 1, 4, b"OTHER", b"jaxfilter", today.timetuple().tm_yday, today.year)
+    struct.pack_into("<HIIBH", block, 94, size, size + len(record), bool(record), 6, RECORD_LENGTHS[6])
+    struct.pack_into("<6d", block, 131, *[10.0**-decimals] * 3, *np.floor(cloud.origin))
+    records = (Record((PROJECTION, WKT), size, size + 54, size + len(record)),) if record else ()
+    return Header(path, bytes(block) + record, Identity(0, 0, 0, 0), records)
 
 
-def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
-    """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
-    for xyz, columns in _runs(cloud, tally):
-        rows = slice(tally.points - len(xyz), tally.points)
+def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
+    """Points of format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
+    done = 0
+    for xyz, columns in _runs(cloud):
+        rows = slice(done, done := done + len(xyz))
         columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
-        chunk = np.zeros((len(xyz), header.record_length), np.uint8)
-        records.integers(chunk)[:] = _ticks(path, header, xyz)
+        points = Points.zeros(len(xyz), laspy.PointFormat(header.point_format))
+        for axis, ticks in zip("XYZ", _ticks(path, header, xyz).T, strict=True):
+            points.array[axis] = ticks
         for name in COLUMNS:
             one = name in ("return_number", "number_of_returns")  # where nothing is said: the only echo
-            records.put(chunk, header.point_format, name, columns.get(name, int(one)))
-        yield chunk
+            points[name][:] = columns.get(name, np.full(len(xyz), one))
+        yield points
 
 
-def _runs(cloud: PointCloud, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The coordinates in file units, f64[k, 3], added to ``tally``, and columns: of the source file, or else of the cloud."""
+def _runs(cloud: PointCloud) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """The coordinates in file units, f64[k, 3], and columns: of the source file, or else of the cloud."""
     source: Handle | None = cloud.source
     if source is not None:
-        yield from source.runs(tally)
+        yield from source.runs()
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)
         xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-        tally.add(xyz)
         yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan), {}
 
 
-def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
     source: Handle | None = cloud.source
     with open(temporary, "xb") as file:
-        if source is not None and source.kind == "text":
-            text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes, tally)
+        if source is not None and source.header is None:
+            text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes)
             return
-        decimals = 3 if source is None else _decimals(source.header())
+        decimals = 3 if source is None else _decimals(source.header)
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
-        for xyz, _ in _runs(cloud, tally):
-            text.write_table(file, xyz, labels.ground[tally.points - len(xyz) : tally.points], decimals, delimiter)
+        done = 0
+        for xyz, _ in _runs(cloud):
+            rows = slice(done, done := done + len(xyz))
+            text.write_table(file, xyz, labels.ground[rows], decimals, delimiter)
 
 
 def _decimals(header: Header) -> int:

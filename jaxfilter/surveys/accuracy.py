@@ -23,8 +23,8 @@ from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.disk import Bounds, Seal, new_file
 from ..files.header import FLOATS
+from ..files.points import read_points
 from ..files.reading import open_las
-from ..files.records import read_records
 from ..terrain.raster import Raster
 from .collection import Collection
 from .collection import open as open_collection
@@ -269,8 +269,8 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
         doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
         if doubt is None or doubt.data_type not in FLOATS:
             return None
-        for chunk, _ in read_records(header, inner):
-            column = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size])
+        for points, _ in read_points(header, inner):
+            column = np.ascontiguousarray(points.array["ExtraBytes"][:, doubt.start : doubt.start + doubt.size])
             total += float(np.nansum(column.view(FLOATS[doubt.data_type]), dtype=np.float64))
     return total
 

@@ -16,7 +16,6 @@ from ..core.filter import Filter, of_scene
 from ..core.params import declared
 from ..core.points import canonical_points
 from ..core.reading import Reading
-from ..files.blocks import Changed
 from ..files.disk import Bounds
 from ..files.windows import read_window
 from .collection import Collection
@@ -114,8 +113,6 @@ class Sampler:
             box = None if entire else middle(source.bounds, each / source.count, source.metre)
             try:
                 window = read_window(source, box, self.index, self.reading)
-            except Changed:
-                raise
             except InputError:
                 continue  # the run names it
             if entire or len(canonical_points(window.cloud)) > 1:

@@ -122,8 +122,8 @@ class Product:
 
         Raises: InputError if a point has no label.
         """
-        source, index, reading = task.source, self.store.index, self.reading
-        label, quantities, checksum = gathered(self.store, task, kinds)
+        source, reading = task.source, self.reading
+        label, quantities = gathered(self.store, task, kinds)
         rows = label > 0
         if reading.bounds is not None or reading.aoi is not None:
             label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
@@ -134,9 +134,9 @@ class Product:
             )
         candidate = (label & CANDIDATE) > 0
         if reading.aoi is None:
-            cloud = file_cloud(source, candidate, index, bounds=reading.bounds, checksum=checksum)
-        else:  # the checksum is of all points
-            cloud = file_cloud(source, candidate, index, rows=rows)
+            cloud = file_cloud(source, candidate, bounds=reading.bounds)
+        else:
+            cloud = file_cloud(source, candidate, rows=rows)
         return cloud, found_in(label), quantities
 
     @property
@@ -204,7 +204,6 @@ def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -
         if record[-1] - record[0] == len(record) - 1:
             record = record[:1]  # the first of all that follow it
         arrays[f"record_{one}"], arrays[f"label_{one}"] = record, label[start:stop]
-        arrays[f"checksum_{one}"] = np.array(around.checksums.get(int(one), -1))
         arrays |= {f"{name}_{one}": values[start:stop] for name, values in quantities.items()}
     return arrays
 
@@ -214,22 +213,17 @@ def found_in(label: np.ndarray) -> Found:
     return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
-def gathered(
-    store: Store, task: FileTask, kinds: Mapping[str, type]
-) -> tuple[np.ndarray, dict[str, np.ndarray], int | None]:
-    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and the checksum of the points, if
-    they were read in one piece."""
-    checksum = -1
+def gathered(store: Store, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities."""
     label = np.zeros(task.source.count, np.uint8)
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = store.arrays(number)
         if f"record_{task.number}" not in stored:
             continue
-        checksum = int(stored[f"checksum_{task.number}"])
         found, record = stored[f"label_{task.number}"], stored[f"record_{task.number}"]
         rows = record if len(record) == len(found) else slice(record[0], record[0] + len(found))
         label[rows] = found | np.uint8(_STORED)
         for name, values in quantities.items():
             values[rows] = stored[f"{name}_{task.number}"]
-    return label, quantities, None if checksum < 0 else checksum
+    return label, quantities

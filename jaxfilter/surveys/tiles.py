@@ -52,7 +52,6 @@ class Around:
         file: i32[n], the number of the file; record: i64[n], the record in it.
         core: bool[n], points that the tile labels.
         left_out: files that could not be read: number, and reason.
-        checksums: of the coordinates of files that were read in one piece.
     """
 
     cloud: PointCloud
@@ -60,7 +59,6 @@ class Around:
     record: np.ndarray
     core: np.ndarray
     left_out: dict[int, str]
-    checksums: dict[int, int]
 
     @property
     def own(self) -> np.ndarray:
@@ -91,7 +89,6 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
 def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     left_out: dict[int, str] = {}
-    checksums: dict[int, int] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
         box = _box(tile.window, reading.bounds, source)
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
@@ -104,8 +101,6 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             left_out[number] = str(error)
             continue
         cloud, record = window.cloud, window.record
-        if tile.window is None and cloud.source.checksum is not None:
-            checksums[number] = cloud.source.checksum
         there = inside(cloud, tile.window)
         if not there.all():
             cloud, record = part_of(cloud, there), record[there]
@@ -119,7 +114,7 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             records.append(record)
     file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
     cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
-    return Around(cloud, file, record, core, left_out, checksums)
+    return Around(cloud, file, record, core, left_out)
 
 
 def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:

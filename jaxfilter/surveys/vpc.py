@@ -19,9 +19,8 @@ import pyproj
 
 from ..core.errors import DAMAGED, InputError
 from ..core.units import WKT, Reference, Stated, Units, reference_of
-from ..files.disk import new_file
-from ..files.header import opened
-from ..files.records import reading_errors
+from ..files.disk import new_file, opened
+from ..files.guard import reading_errors
 from ..files.sources import FARTHEST, NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
@@ -56,7 +55,7 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
     known: dict[Any, tuple[Reference, str | None]] = {}
-    with reading_errors(place), opened(place, sequential=True) as (file, _):
+    with reading_errors(place), opened(place) as (file, _):
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
                 yield _member(item, place, known, asked)

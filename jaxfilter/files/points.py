@@ -1,0 +1,365 @@
+"""Point records through laspy: read in chunks or in part, looked into, changed, and written again."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import itertools
+import shutil
+import struct
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import laspy
+import lazrs
+import numpy as np
+
+from ..core.errors import InputError, OutputError
+from ..core.inputs import COLUMNS
+from ..core.process import need_threads
+from ..core.reading import inside
+from ..core.units import PROJECTION, WKT
+from .disk import Bounds
+from .guard import check_chunks, chunk_table, laszip_record, pieces, reading_errors
+from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
+from .runs import Runs, nodes
+
+CHUNK = 1_000_000
+"""Points that are held at a time."""
+SMALL = 50_000
+"""Points of a file that are all looked at to know its extent: a chunk of LAZ, as most writers make it."""
+
+_CLOUD = laspy.DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
+_ALL = laspy.DecompressionSelection.all()
+Points = laspy.PackedPointRecord
+
+
+class _Shown(io.RawIOBase):
+    """A file as laspy is to see it: ``head`` in place of its own first bytes, as many."""
+
+    def __init__(self, file: BinaryIO, head: bytes) -> None:
+        self._file, self._head = file, memoryview(head)
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def readinto(self, buffer: Any) -> int:
+        at, view = self._file.tell(), memoryview(buffer)
+        if at >= len(self._head):
+            return int(self._file.readinto(buffer))  # type: ignore[attr-defined]
+        part = self._head[at : at + len(view)]
+        view[: len(part)] = part
+        self._file.seek(at + len(part))
+        return len(part)
+
+
+def reader_of(header: Header, file: BinaryIO, every_field: bool = True) -> laspy.LasReader:
+    """A reader of the points of an open file, which has passed the guard. ``every_field``: otherwise those other than
+    coordinates, echoes, class and flags may be zero, which is faster for LAZ."""
+    need_threads()
+    file.seek(0)
+    return laspy.LasReader(
+        _Shown(file, header.shown),
+        closefd=False,
+        laz_backend=laspy.LazBackend.LazrsParallel,
+        read_evlrs=False,
+        decompression_selection=_ALL if every_field else _CLOUD,
+    )
+
+
+def read_points(
+    header: Header, bounds: Bounds | None = None, every_field: bool = True, runs: Runs | None = None
+) -> Iterator[tuple[Points, np.ndarray]]:
+    """The points, up to a million at a time, in file order, and their numbers in the file, i64[k]; only those inside
+    ``bounds`` if given.
+
+    Args:
+        every_field: as of :func:`reader_of`.
+        runs: where runs of records lie: only those are read that may hold points inside the bounds. By default the nodes of
+            the octree of COPC, and else the whole file.
+
+    Raises: InputError if the points are damaged.
+    """
+    with reading_errors(header.path), header.open() as file:
+        if header.unread is None:
+            check_chunks(header, file)
+        if header.is_copc and bounds is not None and runs is None:
+            runs = nodes(header, file)
+        if runs is None or bounds is None:
+            reader, numbered = reader_of(header, file, every_field), itertools.count(0, CHUNK)
+            chunks = ((part, n + np.arange(len(part))) for n, part in zip(numbered, reader.chunk_iterator(CHUNK)))
+        else:
+            groups = runs.meeting(bounds).groups(CHUNK)
+            chunks = ((_decoded(header, file, group, every_field), group.records) for group in groups)
+        done = 0
+        for points, numbers in chunks:
+            done += len(points)
+            if bounds is not None:
+                kept = inside(coordinates(points, header, 2), bounds)
+                points, numbers = points[kept], numbers[kept]
+            yield points, numbers
+        if done < header.count and (runs is None or bounds is None):
+            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
+
+
+def _decoded(header: Header, file: BinaryIO, runs: Runs, every_field: bool) -> Points:
+    """The points of some runs. laspy has no call for a part of LAZ that is right for chunks of several sizes: its ``seek`` takes
+    them for equal ones (laspy 2.7, lazrs 0.8), so the chunks are decoded as its reader of COPC does."""
+    packed = b"".join(
+        pieces(header, file, runs.start[k : k + 1], int(runs.size[k])).data for k in range(len(runs.start))
+    )
+    if header.compressed:
+        plain = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
+        selection = lazrs.DecompressionSelection((_ALL if every_field else _CLOUD).value)
+        need_threads()
+        table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
+        lazrs.decompress_points_with_chunk_table(packed, header.decoder, plain, table, selection)
+        packed = plain.data
+    return Points.from_buffer(packed, format_of(header))
+
+
+def format_of(header: Header, more: int = 0) -> laspy.PointFormat:
+    """The point format, with all extra bytes, and ``more`` of them, as one dimension ``ExtraBytes``."""
+    form, extra = (
+        laspy.PointFormat(header.point_format),
+        header.record_length + more - RECORD_LENGTHS[header.point_format],
+    )
+    if extra:
+        form.add_extra_dimension(laspy.ExtraBytesParams("ExtraBytes", f"{extra}u1"))
+    return form
+
+
+def measured(header: Header) -> tuple[Runs, np.ndarray]:
+    """The runs of records of a file with the areas that their points cover, and lowest and highest x, y, z of all, f64[2, 3]:
+    by a pass over the file. Raises: InputError."""
+    with reading_errors(header.path), header.open() as file:
+        runs = Runs.of_file(header, file)
+    low, high = np.full((len(runs.first), 3), 2**31), np.full((len(runs.first), 3), -(2**31))
+    for points, numbers in read_points(header, every_field=False):
+        ticks = integers(points)
+        first, last = np.searchsorted(runs.first, numbers[[0, -1]], side="right")
+        rows = slice(first - 1, last)
+        at = np.maximum(runs.first[rows] - numbers[0], 0)
+        low[rows] = np.minimum(low[rows], np.minimum.reduceat(ticks, at))
+        high[rows] = np.maximum(high[rows], np.maximum.reduceat(ticks, at))
+    low, high = low * header.scales + header.offsets, high * header.scales + header.offsets
+    extent = np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else np.full((2, 3), np.nan)
+    return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
+
+
+def sampled_extent(header: Header, file: BinaryIO) -> np.ndarray:
+    """Lowest and highest x, y, z of some points of an open file, f64[2, 3]: of all of a small file, of the first of each chunk of
+    LAZ, of every so many of LAS."""
+    if header.count <= SMALL:
+        ticks = integers(reader_of(header, file, every_field=False).read_points(header.count))
+    else:
+        start = len(header.head) + np.linspace(0, header.count - 1, 1000).astype(np.int64) * header.record_length
+        if header.compressed:
+            start, size, _ = chunk_table(header, file)
+            start = start[size > 12]
+        ticks = pieces(header, file, start, 12).view("<i4")
+    xyz = ticks * header.scales + header.offsets
+    return np.stack([xyz.min(axis=0), xyz.max(axis=0)])
+
+
+def integers(points: Points) -> np.ndarray:
+    """i32[n, 3]: X, Y, Z."""
+    return np.stack([points.array[axis] for axis in "XYZ"], axis=1)
+
+
+def coordinates(points: Points, header: Header, axes: int = 3) -> np.ndarray:
+    """f64[n, axes], file units."""
+    return integers(points)[:, :axes] * header.scales[:axes] + header.offsets[:axes]
+
+
+def attributes(points: Points, header: Header) -> dict[str, np.ndarray]:
+    """The columns of a cloud, u8[n] each, as far as the point format has them."""
+    found = {name: np.asarray(points[name]) for name in COLUMNS if name != "overlap" or header.point_format >= 6}
+    if at := header.upper:  # the rules by which LASzip makes LAS 1.4 of it
+        extra = points.array["ExtraBytes"]
+        echoes = extra[:, at["extended returns"]]
+        found["return_number"] = found["return_number"] + (echoes >> 4)
+        found["number_of_returns"] = found["number_of_returns"] + (echoes & 15)
+        found["classification"] = found["classification"] + extra[:, at["classification"]]
+        found["overlap"] = extra[:, at["flags and channel"]] & 1
+    return found
+
+
+def put_classes(points: Points, header: Header, classes: np.ndarray) -> None:
+    """Put in new classes, u8[n]; fields that share their bytes stay."""
+    if at := header.upper:
+        above = classes > 31
+        points.array["ExtraBytes"][:, at["classification"]] = np.where(above, classes, 0)
+        classes = np.where(above, np.uint8(0), classes)
+    points.classification = classes
+
+
+class Writer:
+    """Writes the points of a file once more, through laspy. What laspy would not keep is copied from the file ``header`` is
+    of: dates, names, variable length records with their padding, what follows the points.
+
+    Args:
+        file: binary, empty; read and written.
+        compressed: LAZ instead of LAS.
+        extra: names and descriptions of float32 dimensions that are added.
+        crs: number and data of a record that is added.
+    """
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        header: Header,
+        compressed: bool,
+        extra: dict[str, str],
+        crs: tuple[int, bytes] | None = None,
+    ) -> None:
+        self.file, self.header, self.extra = file, header, extra
+        self._wkt = crs is not None and crs[0] == WKT
+        self._records = list(_kept_records(header, extra, crs))
+        number, form = header.point_format, format_of(header, 4 * len(extra))
+        minor = max(2, header.minor, 3 if number > 3 else 0, 4 if number > 5 else 0)
+        made = laspy.LasHeader(version=f"1.{minor if number > 5 else min(minor, 4)}", point_format=form)
+        made.scales, made.offsets = header.scales, header.offsets
+        made.vlrs.clear()
+        made.extra_header_bytes = header.head[HEADER_LENGTHS[header.minor] : header.size]
+        made.extra_vlr_bytes = (
+            b"".join(self._records) + header.head[header.vlrs[-1].end if header.vlrs else header.size :]
+        )
+        self._laszip = laszip_record(number, form.num_extra_bytes) if compressed else b""
+        self._heard = _Heard(file)
+        with self._heard.errors():
+            need_threads()
+            self._laspy = laspy.LasWriter(
+                self._heard, made, do_compress=compressed, laz_backend=laspy.LazBackend.LazrsParallel, closefd=False
+            )
+
+    def write(self, points: Points, columns: dict[str, np.ndarray]) -> None:
+        """Append points, with the dimensions that are added, f32[n] each. Raises: OSError."""
+        form, array = self._laspy.header.point_format, points.array
+        if self.extra:
+            old = array.view(np.uint8).reshape(len(array), -1)
+            new = np.stack([columns[name] for name in self.extra], axis=1).astype("<f4").view(np.uint8)
+            array = np.concatenate([old, new], axis=1).view(form.dtype())[:, 0]
+        with self._heard.errors():
+            self._laspy.write_points(Points(array, form))
+
+    def finish(self, source: Header | None) -> None:
+        """Complete the points and the header, and append what follows the points of ``source``. Raises: OSError, InputError."""
+        with self._heard.errors():
+            self._laspy.close()
+        made, file, old = self._laspy.header, self.file, self.header.head
+        for start, end in ((4, 24), (26, 94)):  # source, encoding, project; names, dates
+            file.seek(start)
+            file.write(old[start:end])
+        if self._wkt:
+            file.seek(6)
+            file.write(bytes([old[6] | 16]))
+        if made.version.minor == 2:  # the same header as those before it
+            file.seek(25)
+            file.write(old[25:26])
+        file.seek(100)
+        file.write(struct.pack("<I", len(self._records) + bool(self._laszip)))
+        if self._laszip:
+            file.seek(HEADER_LENGTHS[made.version.minor] + len(made.extra_header_bytes) + 54)
+            file.write(self._laszip)
+        if made.version.minor >= 4 and self.header.point_format < 6 and made.point_count < 2**32:
+            file.seek(107)
+            file.write(struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist()))
+        file.seek(0, 2)
+        if source is not None:
+            self._copy_tail(source)
+
+    def _copy_tail(self, source: Header) -> None:
+        at, kept = self.file.tell(), without_octree(source, source.evlrs)
+        fields = {}
+        with source.open() as file:
+            if len(kept) == len(source.evlrs):
+                file.seek(source.tail)
+                shutil.copyfileobj(file, self.file, 2**20)
+                starts = {227: source.waveform_start, 235: source.evlr_start}
+                inside = {
+                    field: start for field, start in starts.items() if source.tail <= start <= source.identity.size
+                }
+                fields = {field: start + at - source.tail for field, start in inside.items() if start}
+            else:
+                fields = {235: at} if kept else {}
+                for record in kept:
+                    file.seek(record.start)
+                    self.file.write(file.read(record.end - record.start))
+        for field, start in fields.items():
+            self.file.seek(field)
+            self.file.write(struct.pack("<Q", start))
+        if kept:
+            self.file.seek(243)
+            self.file.write(struct.pack("<I", len(kept)))
+
+
+def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] | None) -> Iterator[bytes]:
+    """The variable length records of an output, as bytes."""
+    kept = [record for record in without_octree(header, header.vlrs) if record.key != LASZIP]
+    if extra:
+        described = header.extra_dimensions()
+        if described is None:
+            raise OutputError(f"{header.path}: the description of its extra bytes is damaged, so none can be added")
+        first = RECORD_LENGTHS[header.point_format]
+        end = max((one.start + one.size for one in described), default=0)
+        entries = [(f"undescribed {i + 1}", 1, "") for i in range(header.record_length - first - end)]
+        entries += [(name, 9, words) for name, words in extra.items()]
+        data = [header.head[record.payload : record.end] for record in kept if record.key == EXTRA_BYTES]
+        data += [
+            struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), words.encode()) for name, kind, words in entries
+        ]
+        yield vlr(*EXTRA_BYTES, b"".join(data))  # readers look at one record only
+        kept = [record for record in kept if record.key != EXTRA_BYTES]
+    for record in kept:
+        yield header.head[record.start : record.end]
+    if crs is not None:
+        yield vlr(PROJECTION, *crs)
+
+
+def without_octree(header: Header, records: tuple[Record, ...]) -> list[Record]:
+    """Those of some records that are not on the octree of COPC."""
+    return [record for record in records if not header.is_copc or record.key[0] != COPC]
+
+
+def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:
+    """A variable length record in bytes."""
+    return struct.pack("<H16sHH32s", 0, user.encode(), number, len(payload), description.encode()) + payload
+
+
+class _Heard:
+    """A file that keeps what was raised when the LAZ encoder used it, of which the encoder passes on only a few words."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.error: BaseException | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self.file, name)
+
+        def call(*arguments: Any) -> Any:
+            try:
+                return method(*arguments)
+            except BaseException as error:  # a full disk, or a signal
+                self.error = error
+                raise
+
+        return call
+
+    @contextlib.contextmanager
+    def errors(self) -> Iterator[None]:
+        """A block that encodes: raises what the file raised."""
+        try:
+            yield
+        except (lazrs.LazrsError, laspy.LaspyException) as error:
+            raise self.error or OSError(str(error)) from error
