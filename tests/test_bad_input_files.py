@@ -146,9 +146,9 @@ def test_chunks_of_other_lengths_than_in_the_table(tmp_path, point_format):
     assert first + second == table - start - 8
     for moved in (7, -7, second - first):
         path.write_bytes(with_table(content, [first + moved, second - moved]))
-        assert_refused(path, "chunk [12] of 2 is not as long as its table says")
+        assert_refused(path, "chunk [12] of 2 is not as long as its table says|extended record 1 of 1 .* ends behind")
     path.write_bytes(with_table(content, [first, second + 2]))
-    assert_refused(path, "do not end where their table begins")
+    assert_refused(path, "do not end where their table begins|extended record 1 of 1 .* ends behind")
 
 
 def test_layers_that_do_not_fill_their_chunk(tmp_path):
@@ -213,7 +213,7 @@ def test_truncated_extended_records(tmp_path):
     *[("in.las", 6, "d", 131 + 8, value, "Y scale factor is")
       for value in (0.0, -0.01, float("nan"), float("inf"), 1e300, 1e-300, 100.1, 1e-12)],
     ("in.las", 6, "d", 155 + 16, float("nan"), "Z offset is nan"),
-    ("in.las", 6, "B", 24, 2, "version 2.4 is not supported"), ("in.las", 6, "B", 25, 5, "version 1.5 is not supported"),
+    ("in.las", 6, "B", 24, 2, "version 2.4 is not supported"), ("in.las", 6, "B", 25, 6, "version 1.6 is not supported"),
     ("in.las", 6, "H", 94, 100, "header size 100"), ("in.las", 6, "H", 94, 60_000, "header size 60000|offset to point data"),
     ("in.las", 6, "I", 96, 0, "offset to point data 0"), ("in.las", 6, "I", 96, 2**32 - 1, "offset to point data"),
     ("in.las", 6, "B", 104, 11, "point format 11 is unknown"),
@@ -270,7 +270,7 @@ def test_laszip_record_of_another_point_size(tmp_path):
     path = tmp_path / "in.laz"
     make_las(path, 1)
     patch(path, "H", 105, 40)
-    assert_refused(path, "describes points of 28 bytes, the header of 40")
+    assert_refused(path, "describes other points than point format 1 of 40 bytes")
     make_las(path, 1)
     items = path.read_bytes().find(b"laszip encoded") + 52 + 34
     for at, value in ((4, 1), (6, 0), (-34, 3)):  # POINT10 of version 1, bytes in place of times, layers

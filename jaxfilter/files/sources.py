@@ -116,20 +116,25 @@ def describe_file(place: Place, stated: Stated = NOTHING, examine: bool = False)
 
 
 def _extent_of(las: LasFile) -> np.ndarray:
-    """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless some points show that this cannot be."""
+    """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show that
+    this cannot be; then those of the points. Warns: if the header is wrong."""
     header, seen = las.header, las.extent
-    extent, slack = np.stack(header.extent), header.scales
+    extent, slack = np.stack(header.extent), 2 * header.scales
     if not header.count:
         return extent
-    side = np.diff(extent, axis=0)[0]
-    possible = (abs(extent) < FARTHEST).all() and (side >= 0).all() and (side[:2].any() or header.count == 1)
-    if possible and seen is not None:
-        covers = (extent[0] <= seen[0] + slack).all() and (seen[1] - slack <= extent[1]).all()
-        most = 0 if header.count <= SMALL else np.diff(seen, axis=0)[0, :2]  # some points do not reach the edges
-        possible = covers and (side[:2] - np.diff(seen, axis=0)[0, :2] <= most + 2 * slack[:2]).all()
-    if possible:
+    low, high = extent
+    sane = (abs(extent) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
+    if sane and seen is None:
         return extent
-    found = seen if seen is not None and header.count <= SMALL else measured(header)[1]
-    stated, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (extent, np.round(found, 3)))
-    warn(f"{header.path}: its header states the extent {stated}, and its points lie in {true}, which is used")
+    found, small = seen, header.count <= SMALL
+    if sane and not small:  # some points do not reach the edges, but half of it they do
+        reached = (high - low)[:2] <= 2 * (seen[1] - seen[0])[:2] + slack[:2]
+        if (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all() and reached.all():
+            return extent
+    if seen is None or not small:
+        found = measured(header)[1]
+    margin = 0.02 * (found[1] - found[0]) + slack  # producers state the edges of a tile
+    if not (sane and (abs(extent - found) <= margin).all() and (low <= found[0] + slack).all()):
+        stated, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (extent, np.round(found, 3)))
+        warn(f"{header.path}: its header states the extent {stated}, and its points lie in {true}, which is used")
     return found
