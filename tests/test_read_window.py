@@ -240,12 +240,12 @@ def test_points_that_the_header_denies(tmp_path, name, n):
     true = (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert describe_file(path, examine=True).bounds == pytest.approx(true, abs=1e-9)
+        assert describe_file(path, points=True).bounds == pytest.approx(true, abs=1e-9)
     x1, x0, *rest = struct.unpack_from("<6d", path.read_bytes(), 179)
     for wrong in ((x0 + 50, x0), (x1, 0.0), (0.0,) * 6, (1e308, -1e308), (np.nan, x0), (x0, x1)):
         patch(path, "6d", 179, *wrong, *(x1, x0, *rest)[len(wrong) :])
         with pytest.warns(jf.JaxfilterWarning, match=r"in\.la.: its header states the extent .*, which is used"):
-            source = describe_file(path, examine=True)
+            source = describe_file(path, points=True)
         assert source.bounds == pytest.approx(true, abs=1e-9)
     assert len(read_window(source, (X, Y, X + 1000, Y + 1000)).record) == n
 

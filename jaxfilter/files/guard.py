@@ -282,7 +282,8 @@ def _wrong_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarr
 
 def items_of(laszip: bytes) -> Iterator[tuple[Any, ...]]:
     """Kind, bytes and version of the parts of a point that a laszip record lists."""
-    return struct.iter_unpack("<3H", laszip[_ITEMS:])
+    end = _ITEMS + _ITEM * struct.unpack_from("<H", laszip, _ITEMS - 2)[0]
+    return struct.iter_unpack("<3H", laszip[_ITEMS:end] if end <= len(laszip) else b"")
 
 
 def laszip_record(point_format: int, extra: int, variable: bool = False) -> bytes:

@@ -66,7 +66,7 @@ class Handle:
 
     @contextlib.contextmanager
     def again(self) -> Iterator[None]:
-        """A block in which the points are read once more. Raises: InputError if the file is gone, or not the one that was read."""
+        """A block in which the points are read once more. Raises: InputError if the file is gone, or is another now."""
         try:
             found = Identity.of(self.path)
         except OSError as error:

@@ -227,8 +227,8 @@ class Header:
 
     @functools.cached_property
     def upper(self) -> dict[str, int]:
-        """Of LAS 1.4 in the compatibility mode of LASzip: which extra byte holds what the older point formats have no room for, by
-        its name there; nothing of other files."""
+        """Of LAS 1.4 in the compatibility mode of LASzip: which extra byte holds what older point formats have no room for,
+        by its name there; nothing of other files."""
         if not any(record.key == _COMPATIBLE for record in self.vlrs) or self.point_format > 5:
             return {}
         return {one.name.removeprefix("LAS 1.4 "): one.start for one in self.extra_dimensions() or ()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-import itertools
 import shutil
 import struct
 from collections.abc import Iterator
@@ -96,8 +95,8 @@ def read_points(
         if header.is_copc and bounds is not None and runs is None:
             runs = nodes(header, file)
         if runs is None or bounds is None:
-            reader, numbered = reader_of(header, file, every_field), itertools.count(0, CHUNK)
-            chunks = ((part, n + np.arange(len(part))) for n, part in zip(numbered, reader.chunk_iterator(CHUNK)))
+            parts = enumerate(reader_of(header, file, every_field).chunk_iterator(CHUNK))
+            chunks = ((part, k * CHUNK + np.arange(len(part))) for k, part in parts)
         else:
             groups = runs.meeting(bounds).groups(CHUNK)
             chunks = ((_decoded(header, file, group, every_field), group.records) for group in groups)

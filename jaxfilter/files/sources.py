@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
@@ -17,7 +18,7 @@ from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, s
 from .disk import Bounds
 from .points import SMALL, measured
 from .reading import LasFile, is_text, kept_las, kept_text
-from .storage import Place, place_of
+from .storage import Place, Remote, place_of
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""
@@ -79,11 +80,10 @@ def fingerprint(place: Place) -> str:
     return kept_text(cast(Path, place)).fingerprint if is_text(place) else kept_las(place).header.fingerprint
 
 
-def describe_file(place: Place, stated: Stated = NOTHING, examine: bool = False) -> Source:
+def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) -> Source:
     """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
 
-    ``examine``: look at some points of a file on a disk. If the header denies them, or states an extent that nothing can
-    have, all points are read and theirs is the extent.
+    ``points``: look at some points as well, see :func:`examined`. An extent that nothing can have is replaced in any case.
 
     Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
     states another CRS. Warns: of a wrong extent.
@@ -95,7 +95,7 @@ def describe_file(place: Place, stated: Stated = NOTHING, examine: bool = False)
         extent, some = np.stack(ends(xyz)) if len(xyz) else np.full((2, 3), math.nan), xyz[sampled(len(xyz))]
         facts = {"format": "text", "identity": file.fingerprint}
     else:
-        las = kept_las(place, tables=examine)
+        las = kept_las(place, points)
         header, reference, count = las.header, las.reference, las.header.count
         extent = some = _extent_of(las)
         facts = {
@@ -113,6 +113,17 @@ def describe_file(place: Place, stated: Stated = NOTHING, examine: bool = False)
     facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": reference.units or Units()}
     facts["wkt"] = None if reference.crs is None else reference.crs.to_wkt()
     return Source(str(place), count=count, **facts)
+
+
+def examined(source: Source) -> Source:
+    """A source whose extent is that of its points, if some of them show that its header states another: the first of each chunk
+    of LAZ, some of LAS, all of a small file. Remote files, and those that only a .vpc describes, are not looked at. Warns."""
+    if source.format == "text" or not source.identity or not source.count or isinstance(source.place, Remote):
+        return source
+    with contextlib.suppress(InputError):  # a damaged file is named when its points are read
+        (x0, y0, z0), (x1, y1, z1) = _extent_of(kept_las(source.place, True)).tolist()
+        return dataclasses.replace(source, bounds=(x0, y0, x1, y1), z=(z0, z1))
+    return source
 
 
 def _extent_of(las: LasFile) -> np.ndarray:

@@ -10,7 +10,7 @@ import itertools
 import math
 import operator
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -22,7 +22,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.units import Stated, Units
 from ..files.disk import Bounds
-from ..files.sources import Source, describe_file
+from ..files.sources import Source, describe_file, examined
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -197,6 +197,12 @@ class Collection:
         """
         return self.crs is None and self.units == Units() and set(self._columns["format"]) != {"text"}
 
+    def examined(self) -> Collection:
+        """The same files, each with the extent of its points where some of them show that the header states another; see
+        :func:`jaxfilter.files.sources.examined`. Warns: of wrong extents."""
+        with ThreadPoolExecutor(_THREADS) as pool:
+            return Collection(pool.map(examined, self), self.unreadable, self.repeated)
+
     def clipped(self, box: Bounds) -> Collection:
         """The files that may hold points of a half-open box, with their bounds as far as it; a file alone stays in any case.
 
@@ -339,10 +345,15 @@ def open(
     listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
     if not listed:
         raise InputError("no files are named")
-    entries = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed)
+    if len(listed) == 1:
+        entries = _expanded(os.fspath(listed[0]), stated)
+        alone = isinstance(entries, list) and len(entries) == 1
+    else:
+        entries, alone = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed), False
+    described = functools.partial(_described, stated=stated, points=alone)
     unreadable: list[tuple[str, str]] = []
     repeated: dict[str, None] = {}
-    collection = Collection(_read(entries, stated, unreadable, repeated), unreadable, repeated)
+    collection = Collection(_read(iter(entries), described, unreadable, repeated), unreadable, repeated)
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
@@ -385,7 +396,10 @@ def _is_member(path: Path, asked: str = "") -> bool:
 
 
 def _read(
-    entries: Iterator[Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+    entries: Iterator[Entry],
+    described: Callable[[str], Source | tuple[str, str]],
+    unreadable: list[tuple[str, str]],
+    repeated: dict[str, None],
 ) -> Iterator[Source]:
     """The sources of entries in their order; the headers of some are read at the same time."""
     seen: set[str] = set()
@@ -399,7 +413,7 @@ def _read(
                 else:
                     seen.add(uri)
                     new.append(entry)
-            read = pool.map(lambda uri: _described(uri, stated), [entry for entry in new if isinstance(entry, str)])
+            read = pool.map(described, [entry for entry in new if isinstance(entry, str)])
             for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
                 if isinstance(found, Source):
                     yield found
@@ -407,9 +421,9 @@ def _read(
                     unreadable.append(found)
 
 
-def _described(uri: str, stated: Stated) -> Source | tuple[str, str]:
+def _described(uri: str, stated: Stated, points: bool) -> Source | tuple[str, str]:
     """The source, or the name and why there is none."""
     try:
-        return describe_file(place_of(uri), stated)
+        return describe_file(place_of(uri), stated, points)
     except InputError as error:
         return uri, str(error)

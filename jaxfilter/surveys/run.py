@@ -75,6 +75,7 @@ def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collecti
         )
     if not collection.count:
         warn(f"{collection.name}: holds no points")
+    collection = collection.examined()
     if reading.aoi is not None:
         reading = dataclasses.replace(reading, aoi=area_of(reading, collection))
     if clip and reading.bounds is not None:
