@@ -184,6 +184,61 @@ def test_extra_dimensions(tmp_path, suffix, described):
     assert list(out.point_format.dimension_names).count("margin") == 1
 
 
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_extra_bytes_that_two_records_describe(tmp_path, suffix):
+    """Readers look at one record, so an output that has more extra bytes has one."""
+    las = make_las(tmp_path / "one.las", 6, extra=True)
+    content = (tmp_path / "one.las").read_bytes()
+    at = content.index(b"LASF_Spec") - 2
+    head, entries = content[at : at + 54], [content[at + 54 + 192 * k :][:192] for k in range(2)]
+    blocks = b"".join(head[:20] + struct.pack("<H", 192) + head[22:] + entry for entry in entries)
+    rest = content[at + 54 + 384 :]
+    (tmp_path / "two.las").write_bytes(content[:at] + blocks + rest)
+    for layout, where, value in (("I", 96, 54), ("I", 100, 1), ("Q", 235, 54)):
+        old = struct.unpack_from("<" + layout, content, where)[0]
+        patch(tmp_path / "two.las", layout, where, old + value)
+    cloud = read(tmp_path / "two.las")
+    result = result_of(cloud)
+    write(tmp_path / f"out{suffix}", cloud, result, extra=("height",))
+    out = laspy.read(tmp_path / f"out{suffix}")
+    np.testing.assert_array_equal(out.height, result.height)
+    assert_same_but_classes(las, out)
+    assert jf.info(tmp_path / f"out{suffix}")["extra_bytes"] == ["amplitude", "echo width", "height"]
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_14_in_the_compatibility_mode_of_laszip(tmp_path, suffix):
+    """What LAS 1.2 has no room for lies in extra bytes: classes above 31, more than 7 echoes, the flag of overlap."""
+    las = las_of(None, np.random.default_rng(0).uniform(0, 99, (60, 3)), 1)
+    for name, kind in (
+        ("scan angle", "i2"),
+        ("extended returns", "u1"),
+        ("classification", "u1"),
+        ("flags and channel", "u1"),
+    ):
+        las.add_extra_dim(laspy.ExtraBytesParams(f"LAS 1.4 {name}", kind))
+    classes = np.resize([0, 2, 5, 40, 64, 200], 60)
+    las.classification, las["LAS 1.4 classification"] = (
+        np.where(classes > 31, 0, classes),
+        np.where(classes > 31, classes, 0),
+    )
+    las.return_number, las.number_of_returns = np.full(60, 7), np.full(60, 7)
+    las["LAS 1.4 extended returns"] = np.full(60, 2 << 4 | 3)  # 9 of 10
+    las["LAS 1.4 flags and channel"] = np.resize([0, 1], 60)
+    las.vlrs.append(laspy.VLR("lascompatible", 22204, "", bytes(156)))
+    las.write(tmp_path / f"in{suffix}")
+    cloud = read(tmp_path / f"in{suffix}", units="m", returns="all", ignore_classes=())
+    np.testing.assert_array_equal(cloud.classification, classes)
+    assert (cloud.return_number == 9).all() and (cloud.number_of_returns == 10).all()
+    np.testing.assert_array_equal(cloud.overlap, np.resize([False, True], 60))
+    write(tmp_path / f"out{suffix}", cloud, np.arange(60) < 30, reset="none", ground_class=40)
+    np.testing.assert_array_equal(
+        read(tmp_path / f"out{suffix}", units="m").classification, np.where(np.arange(60) < 30, 40, classes)
+    )
+    out = laspy.read(tmp_path / f"out{suffix}")
+    assert (out.classification[:30] == 0).all() and (out["LAS 1.4 classification"][:30] == 40).all()
+
+
 def test_extra_dimension_of_another_type(tmp_path):
     las = las_of(None, np.random.default_rng(0).uniform(0, 9, (50, 3)))
     las.add_extra_dim(laspy.ExtraBytesParams("height", "u2"))

@@ -231,7 +231,8 @@ class Header:
         by its name there; nothing of other files."""
         if not any(record.key == _COMPATIBLE for record in self.vlrs) or self.point_format > 5:
             return {}
-        return {one.name.removeprefix("LAS 1.4 "): one.start for one in self.extra_dimensions() or ()}
+        found = {one.name.removeprefix("LAS 1.4 "): one.start for one in self.extra_dimensions() or ()}
+        return found if {"extended returns", "classification", "flags and channel"} <= found.keys() else {}
 
 
 def text_of(raw: bytes) -> str:

@@ -8,7 +8,7 @@ import io
 import shutil
 import struct
 from collections.abc import Iterator
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
 
 import laspy
 import lazrs
@@ -26,12 +26,13 @@ from .runs import Runs, nodes
 
 CHUNK = 1_000_000
 """Points that are held at a time."""
+Points: TypeAlias = laspy.PackedPointRecord
+"""Records of points as laspy holds them: ``array`` is structured, with the fields of the point format."""
 SMALL = 50_000
 """Points of a file that are all looked at to know its extent: a chunk of LAZ, as most writers make it."""
 
 _CLOUD = laspy.DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
 _ALL = laspy.DecompressionSelection.all()
-Points = laspy.PackedPointRecord
 
 
 class _Shown(io.RawIOBase):
@@ -118,12 +119,12 @@ def _decoded(header: Header, file: BinaryIO, runs: Runs, every_field: bool) -> P
         pieces(header, file, runs.start[k : k + 1], int(runs.size[k])).data for k in range(len(runs.start))
     )
     if header.compressed:
-        plain = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
+        records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
         selection = lazrs.DecompressionSelection((_ALL if every_field else _CLOUD).value)
         need_threads()
         table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
-        lazrs.decompress_points_with_chunk_table(packed, header.decoder, plain, table, selection)
-        packed = plain.data
+        lazrs.decompress_points_with_chunk_table(packed, header.decoder, records, table, selection)
+        return Points.from_buffer(records, format_of(header))
     return Points.from_buffer(packed, format_of(header))
 
 

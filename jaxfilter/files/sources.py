@@ -129,23 +129,19 @@ def examined(source: Source) -> Source:
 def _extent_of(las: LasFile) -> np.ndarray:
     """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show that
     this cannot be; then those of the points. Warns: if the header is wrong."""
-    header, seen = las.header, las.extent
-    extent, slack = np.stack(header.extent), 2 * header.scales
+    header, seen, stated = las.header, las.extent, np.stack(las.header.extent)
     if not header.count:
-        return extent
-    low, high = extent
-    sane = (abs(extent) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
-    if sane and seen is None:
-        return extent
-    found, small = seen, header.count <= SMALL
-    if sane and not small:  # some points do not reach the edges, but half of it they do
-        reached = (high - low)[:2] <= 2 * (seen[1] - seen[0])[:2] + slack[:2]
-        if (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all() and reached.all():
-            return extent
-    if seen is None or not small:
-        found = measured(header)[1]
-    margin = 0.02 * (found[1] - found[0]) + slack  # producers state the edges of a tile
-    if not (sane and (abs(extent - found) <= margin).all() and (low <= found[0] + slack).all()):
-        stated, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (extent, np.round(found, 3)))
-        warn(f"{header.path}: its header states the extent {stated}, and its points lie in {true}, which is used")
+        return stated
+    (low, high), slack, small = stated, 2 * header.scales, header.count <= SMALL and seen is not None
+    sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
+    if sane and not small:
+        some = stated if seen is None else seen
+        reached = (high - low <= 2 * (some[1] - some[0]) + slack)[:2].all()  # some points do not reach the edges
+        if reached and (low <= some[0] + slack).all() and (some[1] <= high + slack).all():
+            return stated
+    found = seen if small and seen is not None else measured(header)[1]
+    margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
+    if not (sane and (abs(stated - found) <= margin).all() and (low <= found[0] + slack).all()):
+        words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (stated, np.round(found, 3)))
+        warn(f"{header.path}: its header states the extent {words}, and its points lie in {true}, which is used")
     return found

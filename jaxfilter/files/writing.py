@@ -357,11 +357,12 @@ def _runs(cloud: PointCloud) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]
 
 def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
     source: Handle | None = cloud.source
+    header = None if source is None else source.header
     with open(temporary, "xb") as file:
-        if source is not None and source.header is None:
+        if source is not None and header is None:
             text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes)
             return
-        decimals = 3 if source is None else _decimals(source.header)
+        decimals = 3 if header is None else _decimals(header)
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
