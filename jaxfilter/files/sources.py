@@ -140,6 +140,10 @@ def _extent_of(las: LasFile) -> np.ndarray:
         if reached and (low <= some[0] + slack).all() and (some[1] <= high + slack).all():
             return stated
     found = seen if small and seen is not None else measured(header)[1]
+    if (far := abs(found) >= FARTHEST).any():
+        axis = int(far.any(axis=0).argmax())
+        reached = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
+        raise InputError(f"{header.path}: {reached}: correct scale and offset in its header")
     margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
     if not (sane and (abs(stated - found) <= margin).all() and (low <= found[0] + slack).all()):
         words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (stated, np.round(found, 3)))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import datetime
-import struct
+import io
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -18,13 +17,14 @@ from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
-from ..core.units import GEOKEYS, PROJECTION, STATED, WKT, geokeys
+from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, text
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
+from .guard import read_header
 from .handles import Handle
-from .header import FLOATS, HEADER_LENGTHS, RECORD_LENGTHS, Header, Record
-from .points import CHUNK, Points, Writer, attributes, put_classes, vlr
+from .header import FLOATS, Header
+from .points import CHUNK, Points, Writer, attributes, put_classes
 from .storage import Place, Remote, place_of
 
 HEIGHT = "HeightAboveGround"
@@ -316,16 +316,20 @@ def _wkt(path: Place, crs: pyproj.CRS) -> str | None:
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     """LAS 1.4, point format 6, without points yet."""
     decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
-    wkt = None if cloud.crs is None else _wkt(path, cloud.crs)
-    record = b"" if wkt is None else vlr(PROJECTION, WKT, wkt.encode() + b"\0", "OGC WKT")
-    size, today = HEADER_LENGTHS[4], datetime.date.today()
-    block = bytearray(size)
-    struct.pack_into("<4sHH", block, 0, b"LASF", 0, 1 | 16)  # global encoding: adjusted GPS time, CRS as WKT
-    struct.pack_into("<BB32s32sHH", block, 24, 1, 4, b"OTHER", b"jaxfilter", today.timetuple().tm_yday, today.year)
-    struct.pack_into("<HIIBH", block, 94, size, size + len(record), bool(record), 6, RECORD_LENGTHS[6])
-    struct.pack_into("<6d", block, 131, *[10.0**-decimals] * 3, *np.floor(cloud.origin))
-    records = (Record((PROJECTION, WKT), size, size + 54, size + len(record)),) if record else ()
-    return Header(path, bytes(block) + record, Identity(0, 0, 0, 0), records)
+    made = laspy.LasHeader(version="1.4", point_format=6)
+    made.scales, made.offsets, made.generating_software = (
+        np.full(3, 10.0**-decimals),
+        np.floor(cloud.origin),
+        "jaxfilter",
+    )
+    made.global_encoding.value = 1 | 16  # adjusted GPS time, CRS as WKT
+    if cloud.crs is not None and (wkt := _wkt(path, cloud.crs)) is not None:
+        made.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    file = io.BytesIO()
+    laspy.LasWriter(file, made, closefd=False).close()
+    identity = Identity(0, 0, file.seek(0, 2), 0)
+    file.seek(0)
+    return read_header(path, file, identity)
 
 
 def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
