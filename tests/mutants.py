@@ -156,12 +156,17 @@ def text_files() -> list[Sound]:
 # mutants
 
 
-def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> tuple[Sound, str, bytes]:
-    """A sound file, one to three damages, and the bytes of the damaged file; the same for the same kind, seed and number."""
+def mutant(
+    sounds: list[Sound], kind: str, seed: int, number: int, only: Sequence[str] = ()
+) -> tuple[Sound, str, bytes]:
+    """A sound file, one to three damages, ``only`` some kinds of them if given, and the bytes of the damaged file; the same for
+    the same kind, seed and number."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
     same = [one for one in sounds if one.kind == kind]
     sound = same[rng.integers(len(same))]
     names = [*ANY, *(TEXT if kind == "text" else fields(sound)), *["table"] * bool(sound.chunks)]
+    names += ["between layers"] * bool(sound.chunks and sound.layers())
+    names = [name for name in names if name in only] if only else names
     content, damages = bytearray(sound.content), []
     while bytes(content) == sound.content or (rng.random() < 0.3 and len(damages) < 3):
         damages.append(names[rng.integers(len(names))])
@@ -171,6 +176,8 @@ def mutant(sounds: list[Sound], kind: str, seed: int, number: int) -> tuple[Soun
             content = damage_bytes(damages[-1], content, sounds[rng.integers(len(sounds))].content, rng)
         elif damages[-1] == "table":
             damage_table(content, sound, rng)
+        elif damages[-1] == "between layers":
+            damage_layers(content, sound, rng)
         else:
             places = fields(sound)[damages[-1]]
             put(content, *places[rng.integers(len(places))], rng)
@@ -299,6 +306,18 @@ def damage_table(content: bytearray, sound: Sound, rng: np.random.Generator) -> 
 
     at, old = sound.start + 8 + sum(size for _, size in sound.chunks), encoded(sound.chunks)
     content[at : at + len(old)] = encoded(table).ljust(len(old), b"\0")
+
+
+def damage_layers(content: bytearray, sound: Sound, rng: np.random.Generator) -> None:
+    """Bytes of a layer go to another one of its chunk, so that the sum of both is the same."""
+    layers = sound.layers()
+    at, number = layers[rng.integers(len(layers))]
+    one, other = (at + 4 * int(k) for k in rng.integers(number, size=2))
+    size, second = (struct.unpack_from("<I", content, k)[0] for k in (one, other))
+    by = min(size, int(rng.choice([1, 2, 3, size, rng.integers(size + 1)])))
+    if one != other and second + by < 2**32:
+        struct.pack_into("<I", content, one, size - by)
+        struct.pack_into("<I", content, other, second + by)
 
 
 # damages of text

@@ -223,6 +223,65 @@ def test_damaged_files_are_refused_or_read_right(tmp_path, sounds, worker, reque
     assert min(outcomes[REFUSED], outcomes[RIGHT]) > 0.05 * (last - first)
 
 
+COMPRESSED = ("layers", "between layers", "chunks", "table", "laszip")
+
+
+def our_records(path: Path, length: int) -> tuple[str, str]:
+    """The bytes of all points, as they are written once more."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            target = path.with_name("plain.las")
+            target.unlink(missing_ok=True)
+            jf.write(target, jf.read(path, units="m", drop_invalid=True), None)
+        except jf.JaxfilterError as error:
+            return REFUSED, named(error, path)
+    content = target.read_bytes()
+    start, count = struct.unpack_from("<I", content, 96)[0], struct.unpack_from("<I", content, 107)[0]
+    if content[25] >= 4:
+        count = struct.unpack_from("<Q", content, 247)[0]
+    return RIGHT, content[start : start + count * length].hex()
+
+
+def laszip_records(path: Path, length: int) -> tuple[str, str]:
+    """The same by LASzip."""
+    import laszip
+
+    with open(path, "rb") as file:
+        try:
+            decoder = laszip.LasUnZipper(file)
+            count = decoder.header.extended_number_of_point_records or decoder.header.number_of_point_records
+            records = np.zeros(min(count, 10_000) * length, np.uint8)
+            decoder.decompress_into(records)
+        except Exception as error:
+            return REFUSED, str(error)
+    return RIGHT, records.tobytes().hex()
+
+
+@pytest.mark.parametrize("first", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(PART, 5000, PART))])
+def test_compressed_points_are_those_of_laszip(tmp_path, sounds, request, first):
+    """Of files whose layers, chunks or laszip record are damaged: what LASzip reads, or those of the sound file, or none."""
+    pytest.importorskip("laszip", reason="laszip is not installed: nothing is compared with it")
+    ours, theirs, failures = mutants.Worker(our_records), mutants.Worker(laszip_records), []
+    outcomes: collections.Counter[str] = collections.Counter()
+    for number in range(first, first + (PART if request.config.getoption("--slow") else FEW)):
+        sound, damages, content = mutants.mutant(sounds, ("laz", "copc")[number % 5 == 0], SEED, number, COMPRESSED)
+        path, length = tmp_path / "in.laz", sound.records.shape[1]
+        path.write_bytes(content)
+        outcome, found = ours(path, length)
+        outcomes[outcome] += 1
+        if outcome == RIGHT and found != sound.records.tobytes().hex():
+            outcome = RIGHT if theirs(path, length) == (RIGHT, found) else "other points than LASzip's"
+        if outcome not in (REFUSED, RIGHT):
+            path.rename(path.with_stem(str(number)))
+            failures.append(f"{number}: {sound.name}, {damages}: {outcome}: {found[:200]}")
+    ours.close()
+    theirs.close()
+    print(f"compressed {first}: {dict(outcomes)}")
+    assert not failures, "\n".join(failures)
+    assert min(outcomes[REFUSED], outcomes[RIGHT]) > 0
+
+
 @pytest.mark.parametrize("kind", ["las", "laz", "text"])
 def test_the_judge_sees_what_is_wrong(tmp_path, sounds, monkeypatch, kind):
     """Readers that change a coordinate or a label, or lose points; a writer that changes labels."""
