@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
 import struct
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyproj
+from pyproj.crs import Datum  # type: ignore[attr-defined]  # a public name by its documentation
 
 from .errors import InputError, warn
 
@@ -17,14 +20,17 @@ METRES_PER_UNIT = (1e-3, 1e4)
 """Least and largest metres per coordinate unit that are believed."""
 
 PROJECTION = "LASF_Projection"
-WKT, GEOKEYS = 2112, 34735
-"""User and numbers of the records of a LAS file that state its CRS, LAS 1.4 R15 section 3."""
+WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS = 2112, 4224, 34735, 34736, 34737
+"""User and numbers of the records of a LAS file that state its CRS: LAS 1.4 R15 section 3, and the WKT 2 of PDAL."""
 
-STATED = ((PROJECTION, WKT), (PROJECTION, GEOKEYS))
+STATED = tuple((PROJECTION, number) for number in (WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS))
 """Keys of these records."""
 
-_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNITS = 1024, 2048, 3072, 3076, 4096, 4099
+ELLIPSOIDAL = "ellipsoidal height"
+_MODEL, _GEOGRAPHIC, _PROJECTED, _CONVERSION, _METHOD, _LINEAR = 1024, 2048, 3072, 3074, 3075, 3076
+_VERTICAL, _VERTICAL_DATUM, _VERTICAL_UNITS = 4096, 4098, 4099
 _GEOCENTRIC = 3  # value of the key _MODEL
+_ELLIPSOIDS = range(5001, 5100)  # values of the key _VERTICAL in GeoTIFF 1.0
 _SMALL = 0.5  # units: an extent of degrees or kilometres rather than of metres, if heights exceed it
 _DENSE = 1e8  # points per square unit: one per 100 m2 in degrees, one per 0.1 mm in metres
 _SAMPLE = 5_000  # points that tell the extent
@@ -92,11 +98,66 @@ def parse_crs(value: Any) -> pyproj.CRS | None:
         raise InputError(f"crs={value!r}: no coordinate reference system that PROJ knows: {reason}") from error
 
 
+def _parts(crs: pyproj.CRS) -> list[pyproj.CRS]:
+    """What a CRS consists of, without shifts to other datums."""
+    if crs.is_bound:
+        return _parts(crs.source_crs)  # type: ignore[arg-type]
+    return [part for each in crs.sub_crs_list for part in _parts(each)] if crs.is_compound else [crs]
+
+
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     """What a CRS says of X and Y, without heights and shifts to other datums."""
-    while crs.is_compound or crs.is_bound:
-        crs = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs  # type: ignore[assignment]
-    return crs
+    return _parts(crs)[0].to_2d()
+
+
+def vertical(crs: pyproj.CRS | None) -> str | None:
+    """The name of what a CRS says of heights, :data:`ELLIPSOIDAL` if it has three dimensions; None if it says nothing."""
+    parts = [] if crs is None else _parts(crs)
+    if any(len(part.axis_info) > 2 for part in parts):
+        return ELLIPSOIDAL
+    return next((part.name for part in parts if part.is_vertical), None)
+
+
+def _height_datum(crs: pyproj.CRS) -> str | None:
+    """What heights count from, by PROJ's name for it; None if the CRS does not say it."""
+    if (named := vertical(crs)) in (None, ELLIPSOIDAL):
+        return named
+    part = next(part for part in _parts(crs) if part.is_vertical)
+    name = part.name if part.datum is None else part.datum.name
+    if "ellipsoid" in name.lower():
+        return ELLIPSOIDAL
+    try:
+        return str(Datum.from_name(name).name)
+    except pyproj.exceptions.CRSError:
+        return None if name.lower() in ("", "unknown", "unnamed") else name
+
+
+def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
+    """The names of what differs between two CRS: their horizontal parts, or what heights count from. A CRS that says nothing
+    of heights differs from none in this."""
+    flat = horizontal(one), horizontal(other)
+    if not same_system(*flat):
+        return flat[0].name, flat[1].name
+    if len({_height_datum(one), _height_datum(other)} - {None}) > 1:
+        return str(vertical(one)), str(vertical(other))
+    return None
+
+
+def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
+    """What GeoTIFF, GeoPackage and LAS can state of a CRS: WKT 1 knows no heights above an ellipsoid. Warns: if that is not
+    all of it."""
+    if crs is None:
+        return None
+    for part in (crs, horizontal(crs)):
+        with contextlib.suppress(pyproj.exceptions.CRSError):
+            if part.is_compound or len(part.axis_info) < 3:
+                part.to_wkt("WKT1_GDAL")
+                if part is not crs:
+                    heights = f"GeoTIFF, GeoPackage and LAS cannot state its {vertical(crs) or 'datum shift'}"
+                    warn(f"CRS {crs.name}: {heights}, so outputs state {part.name} only: note the rest beside them")
+                return part
+    warn(f"CRS {crs.name}: GeoTIFF, GeoPackage and LAS cannot state it, so outputs state none: note it beside them")
+    return None
 
 
 def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
@@ -150,19 +211,50 @@ class Reference:
     shown: str = ""
 
 
-def reference_of(records: dict[int, bytes], name: str) -> Reference:
-    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys. Warns
-    about records that cannot be understood; ``name`` is that of the file."""
-    for number, parse in ((WKT, _from_wkt), (GEOKEYS, _from_geokeys)):
+def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> Reference:
+    """From the data of the records :data:`STATED` by their numbers, as far as they can be understood.
+
+    Where WKT and GeoTIFF keys contradict one another, the WKT is used if ``wkt``, as LAS 1.4 has it for files whose WKT bit is
+    set, and else the keys; where they do not, what says more is used. Warns: about contradictions, and about records that
+    cannot be understood; ``name`` is that of the file.
+    """
+    kinds = [(WKT_2, "WKT 2"), (WKT, "WKT")]
+    kinds.insert(2 if wkt else 0, (GEOKEYS, "GeoTIFF keys"))
+    found: list[tuple[str, Reference]] = []
+    for number, kind in kinds:
         if not records.get(number, b"").strip(b"\0 "):
             continue
         try:
-            return parse(records[number], name)
+            read = _from_geokeys(records, name) if number == GEOKEYS else _from_wkt(records[number], name)
+            found.append((kind, read))
         except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
-            kind = "WKT" if number == WKT else "GeoTIFF keys"
             reason = str(error).splitlines()[0]
             warn(f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}")
-    return Reference()
+    if not found:
+        return Reference()
+    (kind, used), *others = found
+    for another, other in others:
+        if names := _contradiction(used, other):
+            warn(
+                f"{name}: its {kind} says {names[0]}, its {another} {names[1]}: the {kind} is used; correct the file, or pass "
+                "units= if the units are wrong"
+            )
+        elif (other.crs is not None, vertical(other.crs) or "") > (used.crs is not None, vertical(used.crs) or ""):
+            kind, used = another, other
+    return used
+
+
+def _contradiction(one: Reference, other: Reference) -> tuple[str, str] | None:
+    """The names of what differs between two references, as far as both state it."""
+    if one.crs is not None and other.crs is not None and (names := difference(one.crs, other.crs)):
+        return names
+    if one.units is None or other.units is None:
+        return None
+    pairs = [(one.units.xy, other.units.xy)]
+    if vertical(one.crs) and vertical(other.crs):
+        pairs.append((one.units.z, other.units.z))
+    same = all(math.isclose(*pair, rel_tol=1e-7) for pair in pairs)
+    return None if same else (str(one.units), str(other.units))
 
 
 class Stated(NamedTuple):
@@ -177,11 +269,13 @@ class Stated(NamedTuple):
             pass
         elif reference.crs is None:
             reference = _from_crs(self.crs, f"crs={self.crs.to_string()!r}")
-        elif not same_system(horizontal(self.crs), horizontal(reference.crs)):
+        elif difference(self.crs, reference.crs):
             raise InputError(
                 f"{name}: crs={self.crs.to_string()!r}: the file states another CRS, {reference.crs.name}: leave out crs=, since "
                 "nothing is reprojected"
             )
+        elif vertical(self.crs) and not vertical(reference.crs):
+            reference = _from_crs(self.crs, f"crs={self.crs.to_string()!r}")
         return reference if self.units is None else dataclasses.replace(reference, units=self.units, problem=None)
 
 
@@ -275,28 +369,91 @@ def _unprojected(crs: pyproj.CRS | None, geocentric: bool) -> Reference:
     return Reference(crs, None, f"{problem}; {advice}", f"{unit}, geocentric" if geocentric else unit)
 
 
-def _from_geokeys(data: bytes, name: str) -> Reference:
-    """GeoTIFF keys (OGC 19-008r4): EPSG codes, and the keys of linear units, which take precedence over the EPSG's."""
+def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
+    """GeoTIFF keys (OGC 19-008r4): EPSG codes, or parameters of a projection. Keys of units take precedence over what codes
+    say of units. Warns: where that differs, and about systems that are not understood."""
+    data = records[GEOKEYS]
     count = struct.unpack_from("<4H", data)[3]
     entries = [struct.unpack_from("<4H", data, 8 + 8 * i) for i in range(count)]
     keys = {key: value for key, location, _, value in entries if location == 0}
     projected, geographic, model = keys.get(_PROJECTED, 0), keys.get(_GEOGRAPHIC, 0), keys.get(_MODEL)
-    found = Reference()
-    if _is_epsg(projected):
-        found = _from_crs(pyproj.CRS.from_epsg(projected), name)
-    elif model in (2, _GEOCENTRIC) or (model is None and _PROJECTED not in keys and _is_epsg(geographic)):
+    unprojected = model in (2, _GEOCENTRIC) or (model is None and _PROJECTED not in keys and _is_epsg(geographic))
+    if unprojected and not _is_epsg(projected):
         crs = pyproj.CRS.from_epsg(geographic) if _is_epsg(geographic) else None
         return _unprojected(crs, model == _GEOCENTRIC or (crs is not None and bool(crs.is_geocentric)))
-    if found.problem is not None:
-        return found
-    stated = None if found.units is None else (found.units.xy, found.units.name)
-    xy = _linear_unit(keys.get(_LINEAR, 0)) or stated
-    if xy is None:
-        return found
-    z = _linear_unit(keys.get(_VERTICAL_UNITS, 0)) or _vertical_unit(keys.get(_VERTICAL, 0))
-    if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
-        warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
-    return dataclasses.replace(found, units=_units(xy, z or xy))
+    crs, heights, lost = _epsg(projected), _epsg(keys.get(_VERTICAL, 0)), []
+    if crs is None and keys.keys() & {_PROJECTED, _CONVERSION, _METHOD}:
+        crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
+        lost += [] if crs else ["CRS"]
+    if crs is not None and not crs.is_projected:
+        return _from_crs(crs, name)
+    xy, z = _linear_unit(keys.get(_LINEAR, 0)), _linear_unit(keys.get(_VERTICAL_UNITS, 0))
+    if heights is not None and heights.is_vertical:
+        z = z or _unit_of(heights)
+    if crs is not None:
+        before = _unit_of(crs)
+        xy = xy or before
+        if (changed := _in_unit(crs, xy, slice(2))) is not crs:
+            warn(f"{name}: its CRS is in {before[1]}, but its key of linear units says {xy[1]}: used")
+        crs = _with_heights(changed, heights, keys, z or xy)
+        lost += ["vertical CRS"] if keys.get(_VERTICAL) and not vertical(crs) else []
+    for what in lost:
+        warn(f"{name}: its GeoTIFF keys state a {what} that is not understood: pass crs= to state it for outputs")
+    found = Reference() if crs is None else _from_crs(crs, name)
+    return found if xy is None or found.problem else dataclasses.replace(found, units=_units(xy, z or xy))
+
+
+def _with_heights(
+    crs: pyproj.CRS, heights: pyproj.CRS | None, keys: Mapping[int, int], unit: tuple[float, str]
+) -> pyproj.CRS:
+    """A horizontal CRS with the heights that GeoTIFF keys state, in a unit. ``heights``: what has the code of the key
+    ``_VERTICAL``, which may also be that of an ellipsoid or of a datum, as GeoTIFF 1.0 had them."""
+    code = keys.get(_VERTICAL, 0)
+    if code in _ELLIPSOIDS or (heights is not None and heights.is_geographic and len(heights.axis_info) == 3):
+        return _in_unit(crs.to_3d(), unit, slice(2, 3))
+    if heights is None or not heights.is_vertical:
+        try:
+            datum = Datum.from_epsg(keys.get(_VERTICAL_DATUM) or code)
+            heights = pyproj.crs.VerticalCRS(f"{datum.name} height", datum)
+        except pyproj.exceptions.CRSError:
+            return crs
+    heights = _in_unit(heights, unit, slice(1))
+    return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
+
+
+@functools.lru_cache(maxsize=256)
+def _from_parameters(keys: bytes, doubles: bytes, texts: bytes) -> pyproj.CRS | None:
+    """The projected CRS of GeoTIFF keys, by GDAL, which reads them from an image of one pixel; None if they do not define one."""
+    import rasterio
+
+    records = [(33550, 12, 8, struct.pack("<3d", 1, 1, 0)), (33922, 12, 8, bytes(48))]  # a place, or rasterio warns
+    records += [(GEOKEYS, 3, 2, keys), (_DOUBLES, 12, 8, doubles), (_TEXTS, 2, 1, texts)]
+    fields, body = [(256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 1, 8), (273, 4, 1, 8), (279, 4, 1, 1)], bytes(8)
+    for tag, kind, size, content in records:
+        if content:
+            fields.append((tag, kind, len(content) // size, 8 + len(body)))
+            body += content.ljust(-len(content) // 8 * -8, b"\0")
+    head = struct.pack("<2sHI", b"II", 42, 8 + len(body))
+    table = b"".join(struct.pack("<HHII", *field) for field in fields)
+    image = head + body + struct.pack("<H", len(fields)) + table + bytes(4)
+    try:
+        with rasterio.MemoryFile(image) as memory, memory.open() as file:
+            text = "" if file.crs is None else file.crs.to_wkt(version="WKT2_2019")
+    except rasterio.errors.RasterioError as error:
+        raise ValueError(error) from error
+    known = text.startswith("PROJCRS") and "unretrievable" not in text  # the ellipsoid, which GDAL then guesses
+    return pyproj.CRS.from_wkt(text) if known else None
+
+
+def _in_unit(crs: pyproj.CRS, unit: tuple[float, str], axes: slice) -> pyproj.CRS:
+    """A CRS with a unit for some of its axes; itself if they have it."""
+    if all(math.isclose(axis.unit_conversion_factor, unit[0], rel_tol=1e-12) for axis in crs.axis_info[axes]):
+        return crs
+    stated = crs.to_json_dict()
+    for axis in stated["coordinate_system"]["axis"][axes]:
+        axis["unit"] = {"type": "LinearUnit", "name": unit[1], "conversion_factor": unit[0]}
+    stated.pop("id", None)
+    return pyproj.CRS.from_json_dict(stated | {"name": f"{crs.name} ({unit[1]})"})
 
 
 def geokeys(crs: pyproj.CRS) -> bytes | None:
@@ -310,14 +467,16 @@ def geokeys(crs: pyproj.CRS) -> bytes | None:
     return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)
 
 
-def _vertical_unit(code: int) -> tuple[float, str] | None:
-    """Unit of a vertical CRS. Writers also put the code of a vertical datum there (5103), or of an ellipsoid (5030), as
-    GeoTIFF had them once: these state no unit."""
+def _epsg(code: int) -> pyproj.CRS | None:
+    """The CRS of a code, None if there is none."""
     try:
-        crs = pyproj.CRS.from_epsg(code)
+        return pyproj.CRS.from_epsg(code) if _is_epsg(code) else None
     except pyproj.exceptions.CRSError:
         return None
-    return (crs.axis_info[0].unit_conversion_factor, crs.axis_info[0].unit_name) if crs.is_vertical else None
+
+
+def _unit_of(crs: pyproj.CRS) -> tuple[float, str]:
+    return crs.axis_info[0].unit_conversion_factor, crs.axis_info[0].unit_name
 
 
 def _is_epsg(code: int) -> bool:
