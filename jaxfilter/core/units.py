@@ -144,20 +144,46 @@ def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
 
 
 def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
-    """What GeoTIFF, GeoPackage and LAS can state of a CRS: WKT 1 knows no heights above an ellipsoid. Warns: if that is not
-    all of it."""
+    """What GeoTIFF, GeoPackage and LAS can state of a CRS. Warns: if that is not all of it."""
     if crs is None:
         return None
-    for part in (crs, horizontal(crs)):
+    for part_of in (_coded, horizontal):
         with contextlib.suppress(pyproj.exceptions.CRSError):
-            if part.is_compound or len(part.axis_info) < 3:
-                part.to_wkt("WKT1_GDAL")
-                if part is not crs:
-                    heights = f"GeoTIFF, GeoPackage and LAS cannot state its {vertical(crs) or 'datum shift'}"
-                    warn(f"CRS {crs.name}: {heights}, so outputs state {part.name} only: note the rest beside them")
+            if (part := part_of(crs)) is not None and part.to_wkt("WKT1_GDAL"):
+                if vertical(part) is None and (heights := vertical(crs)) is not None:
+                    warn(f"CRS {crs.name}: outputs cannot state its heights ({heights}) and state {part.name} only")
                 return part
-    warn(f"CRS {crs.name}: GeoTIFF, GeoPackage and LAS cannot state it, so outputs state none: note it beside them")
+    warn(f"CRS {crs.name}: outputs cannot state it and have no CRS")
     return None
+
+
+def _coded(crs: pyproj.CRS) -> pyproj.CRS | None:
+    """A CRS, None if there is no code for what its heights count from: GDAL puts other datums and units into a GeoTIFF where a
+    vertical CRS comes without codes."""
+    if not crs.is_compound:
+        return None if vertical(crs) == ELLIPSOIDAL else crs
+    heights = _parts(crs)[-1]
+    code, datum = heights.to_epsg(), _height_datum(crs)
+    known = _epsg(code) if code else _heights(heights.name, datum or "", _unit_of(heights))
+    if known is None:
+        return None
+    parts = ",".join(part.to_wkt("WKT1_GDAL") for part in (crs.sub_crs_list[0], known))
+    return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{parts}]')  # CompoundCRS leaves out the code of a unit
+
+
+def _heights(name: str, datum: str, unit: tuple[float, str]) -> pyproj.CRS | None:
+    """A vertical CRS with the codes of its datum and of its unit, metres and name; None if PROJ knows no such datum."""
+    lengths = pyproj.database.get_units_map("EPSG", "linear").values()
+    codes = [length.code for length in lengths if math.isclose(length.conv_factor, unit[0], rel_tol=1e-7)]
+    try:
+        code = Datum.from_name(datum).to_json_dict()["id"]["code"]
+        of, counted = (
+            f'"{datum}",2005,AUTHORITY["EPSG","{code}"]',
+            f'"{unit[1]}",{unit[0]},AUTHORITY["EPSG","{codes[0]}"]',
+        )
+        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",VERT_DATUM[{of}],UNIT[{counted}],AXIS["Up",UP]]')
+    except (pyproj.exceptions.CRSError, LookupError):
+        return None
 
 
 def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
@@ -236,8 +262,8 @@ def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> R
     for another, other in others:
         if names := _contradiction(used, other):
             warn(
-                f"{name}: its {kind} says {names[0]}, its {another} {names[1]}: the {kind} is used; correct the file, or pass "
-                "units= if the units are wrong"
+                f"{name}: the CRS of its {kind} is {names[0]}, that of its {another} is {names[1]}: the first is used; correct "
+                "the file if that is wrong"
             )
         elif (other.crs is not None, vertical(other.crs) or "") > (used.crs is not None, vertical(used.crs) or ""):
             kind, used = another, other
@@ -274,8 +300,6 @@ class Stated(NamedTuple):
                 f"{name}: crs={self.crs.to_string()!r}: the file states another CRS, {reference.crs.name}: leave out crs=, since "
                 "nothing is reprojected"
             )
-        elif vertical(self.crs) and not vertical(reference.crs):
-            reference = _from_crs(self.crs, f"crs={self.crs.to_string()!r}")
         return reference if self.units is None else dataclasses.replace(reference, units=self.units, problem=None)
 
 
@@ -412,12 +436,13 @@ def _with_heights(
     if code in _ELLIPSOIDS or (heights is not None and heights.is_geographic and len(heights.axis_info) == 3):
         return _in_unit(crs.to_3d(), unit, slice(2, 3))
     if heights is None or not heights.is_vertical:
-        try:
-            datum = Datum.from_epsg(keys.get(_VERTICAL_DATUM) or code)
-            heights = pyproj.crs.VerticalCRS(f"{datum.name} height", datum)
-        except pyproj.exceptions.CRSError:
-            return crs
-    heights = _in_unit(heights, unit, slice(1))
+        with contextlib.suppress(pyproj.exceptions.CRSError):
+            datum = Datum.from_epsg(keys.get(_VERTICAL_DATUM) or code).name
+            heights = _heights(f"{datum} height", datum, unit)
+    elif not math.isclose(_unit_of(heights)[0], unit[0], rel_tol=1e-7):
+        heights = _heights(f"{heights.name} ({unit[1]})", _height_datum(heights) or "", unit)
+    if heights is None or not heights.is_vertical:
+        return crs
     return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
@@ -446,14 +471,14 @@ def _from_parameters(keys: bytes, doubles: bytes, texts: bytes) -> pyproj.CRS | 
 
 
 def _in_unit(crs: pyproj.CRS, unit: tuple[float, str], axes: slice) -> pyproj.CRS:
-    """A CRS with a unit for some of its axes; itself if they have it."""
+    """A CRS with a unit, metres and name, for some of its axes; itself if they have it."""
     if all(math.isclose(axis.unit_conversion_factor, unit[0], rel_tol=1e-12) for axis in crs.axis_info[axes]):
         return crs
-    stated = crs.to_json_dict()
+    stated = crs.to_json_dict() | {"name": f"{crs.name} ({unit[1]})"}
+    stated.pop("id", None)
     for axis in stated["coordinate_system"]["axis"][axes]:
         axis["unit"] = {"type": "LinearUnit", "name": unit[1], "conversion_factor": unit[0]}
-    stated.pop("id", None)
-    return pyproj.CRS.from_json_dict(stated | {"name": f"{crs.name} ({unit[1]})"})
+    return pyproj.CRS.from_json_dict(stated)
 
 
 def geokeys(crs: pyproj.CRS) -> bytes | None:
