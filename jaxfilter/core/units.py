@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import math
@@ -120,14 +119,12 @@ def vertical(crs: pyproj.CRS | None) -> str | None:
 
 def _height_datum(crs: pyproj.CRS) -> str | None:
     """What heights count from, by PROJ's name for it; None if the CRS does not say it."""
-    if (named := vertical(crs)) in (None, ELLIPSOIDAL):
-        return named
-    part = next(part for part in _parts(crs) if part.is_vertical)
-    name = part.name if part.datum is None else part.datum.name
-    if "ellipsoid" in name.lower():
-        return ELLIPSOIDAL
+    heights = _parts(crs)[-1]
+    if not heights.is_vertical:
+        return vertical(crs)
+    name = heights.name if heights.datum is None else heights.datum.name
     try:
-        return str(Datum.from_name(name).name)
+        return ELLIPSOIDAL if "ellipsoid" in name.lower() else str(Datum.from_name(name).name)
     except pyproj.exceptions.CRSError:
         return None if name.lower() in ("", "unknown", "unnamed") else name
 
@@ -137,7 +134,8 @@ def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
     of heights differs from none in this."""
     flat = horizontal(one), horizontal(other)
     if not same_system(*flat):
-        return flat[0].name, flat[1].name
+        names = [f"{part.name} in {part.axis_info[0].unit_name}" for part in flat]
+        return (names[0], names[1]) if flat[0].name == flat[1].name else (flat[0].name, flat[1].name)
     if len({_height_datum(one), _height_datum(other)} - {None}) > 1:
         return str(vertical(one)), str(vertical(other))
     return None
@@ -147,28 +145,25 @@ def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
     """What GeoTIFF, GeoPackage and LAS can state of a CRS. Warns: if that is not all of it."""
     if crs is None:
         return None
-    for part_of in (_coded, horizontal):
-        with contextlib.suppress(pyproj.exceptions.CRSError):
-            if (part := part_of(crs)) is not None and part.to_wkt("WKT1_GDAL"):
-                if vertical(part) is None and (heights := vertical(crs)) is not None:
-                    warn(f"CRS {crs.name}: outputs cannot state its heights ({heights}) and state {part.name} only")
-                return part
-    warn(f"CRS {crs.name}: outputs cannot state it and have no CRS")
-    return None
-
-
-def _coded(crs: pyproj.CRS) -> pyproj.CRS | None:
-    """A CRS, None if there is no code for what its heights count from: GDAL puts other datums and units into a GeoTIFF where a
-    vertical CRS comes without codes."""
-    if not crs.is_compound:
-        return None if vertical(crs) == ELLIPSOIDAL else crs
-    heights = _parts(crs)[-1]
-    code, datum = heights.to_epsg(), _height_datum(crs)
-    known = _epsg(code) if code else _heights(heights.name, datum or "", _unit_of(heights))
-    if known is None:
+    parts = crs.sub_crs_list or [crs.to_2d()]
+    try:
+        text = parts[0].to_wkt("WKT1_GDAL")
+        if (
+            crs.is_compound and (heights := _coded(_parts(crs)[-1])) is not None
+        ):  # CompoundCRS leaves out the code of a unit
+            return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{heights.to_wkt("WKT1_GDAL")}]')
+    except pyproj.exceptions.CRSError:
+        warn(f"CRS {crs.name}: files of results cannot state it, they have no CRS")
         return None
-    parts = ",".join(part.to_wkt("WKT1_GDAL") for part in (crs.sub_crs_list[0], known))
-    return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{parts}]')  # CompoundCRS leaves out the code of a unit
+    if (name := vertical(crs)) != vertical(parts[0]):
+        warn(f"CRS {crs.name}: files of results cannot state its heights ({name}), they state {parts[0].name} only")
+    return parts[0]
+
+
+def _coded(heights: pyproj.CRS) -> pyproj.CRS | None:
+    """A vertical CRS with codes, None if there are none: GDAL puts other datums and units into a GeoTIFF without them."""
+    code, datum = heights.to_epsg(), _height_datum(heights)
+    return _epsg(code) if code else _heights(heights.name, datum or "", _unit_of(heights))
 
 
 def _heights(name: str, datum: str, unit: tuple[float, str]) -> pyproj.CRS | None:
@@ -177,11 +172,9 @@ def _heights(name: str, datum: str, unit: tuple[float, str]) -> pyproj.CRS | Non
     codes = [length.code for length in lengths if math.isclose(length.conv_factor, unit[0], rel_tol=1e-7)]
     try:
         code = Datum.from_name(datum).to_json_dict()["id"]["code"]
-        of, counted = (
-            f'"{datum}",2005,AUTHORITY["EPSG","{code}"]',
-            f'"{unit[1]}",{unit[0]},AUTHORITY["EPSG","{codes[0]}"]',
-        )
-        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",VERT_DATUM[{of}],UNIT[{counted}],AXIS["Up",UP]]')
+        of = f'VERT_DATUM["{datum}",2005,AUTHORITY["EPSG","{code}"]]'
+        counted = f'UNIT["{unit[1]}",{unit[0]},AUTHORITY["EPSG","{codes[0]}"]]'
+        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",{of},{counted},AXIS["Up",UP]]')
     except (pyproj.exceptions.CRSError, LookupError):
         return None
 
@@ -256,16 +249,12 @@ def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> R
         except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
             reason = str(error).splitlines()[0]
             warn(f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}")
-    if not found:
-        return Reference()
-    (kind, used), *others = found
-    for another, other in others:
+    kind, used = found[0] if found else ("", Reference())
+    for another, other in found[1:]:
         if names := _contradiction(used, other):
-            warn(
-                f"{name}: the CRS of its {kind} is {names[0]}, that of its {another} is {names[1]}: the first is used; correct "
-                "the file if that is wrong"
-            )
-        elif (other.crs is not None, vertical(other.crs) or "") > (used.crs is not None, vertical(used.crs) or ""):
+            of = f"the CRS of its {kind} is {names[0]}, that of its {another} is {names[1]}"
+            warn(f"{name}: {of}: the first is used; correct the file if that is wrong")
+        elif (other.crs is not None, bool(vertical(other.crs))) > (used.crs is not None, bool(vertical(used.crs))):
             kind, used = another, other
     return used
 
@@ -276,11 +265,8 @@ def _contradiction(one: Reference, other: Reference) -> tuple[str, str] | None:
         return names
     if one.units is None or other.units is None:
         return None
-    pairs = [(one.units.xy, other.units.xy)]
-    if vertical(one.crs) and vertical(other.crs):
-        pairs.append((one.units.z, other.units.z))
-    same = all(math.isclose(*pair, rel_tol=1e-7) for pair in pairs)
-    return None if same else (str(one.units), str(other.units))
+    z = bool(vertical(one.crs) and vertical(other.crs)) * (one.units.z / other.units.z - 1)
+    return (str(one.units), str(other.units)) if max(abs(one.units.xy / other.units.xy - 1), abs(z)) > 1e-7 else None
 
 
 class Stated(NamedTuple):
@@ -405,26 +391,28 @@ def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
     if unprojected and not _is_epsg(projected):
         crs = pyproj.CRS.from_epsg(geographic) if _is_epsg(geographic) else None
         return _unprojected(crs, model == _GEOCENTRIC or (crs is not None and bool(crs.is_geocentric)))
-    crs, heights, lost = _epsg(projected), _epsg(keys.get(_VERTICAL, 0)), []
-    if crs is None and keys.keys() & {_PROJECTED, _CONVERSION, _METHOD}:
-        crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
-        lost += [] if crs else ["CRS"]
+    crs = _epsg(projected)
     if crs is not None and not crs.is_projected:
         return _from_crs(crs, name)
     xy, z = _linear_unit(keys.get(_LINEAR, 0)), _linear_unit(keys.get(_VERTICAL_UNITS, 0))
-    if heights is not None and heights.is_vertical:
-        z = z or _unit_of(heights)
-    if crs is not None:
-        before = _unit_of(crs)
-        xy = xy or before
-        if (changed := _in_unit(crs, xy, slice(2))) is not crs:
-            warn(f"{name}: its CRS is in {before[1]}, but its key of linear units says {xy[1]}: used")
-        crs = _with_heights(changed, heights, keys, z or xy)
-        lost += ["vertical CRS"] if keys.get(_VERTICAL) and not vertical(crs) else []
-    for what in lost:
-        warn(f"{name}: its GeoTIFF keys state a {what} that is not understood: pass crs= to state it for outputs")
+    if crs is not None and xy is not None and abs(xy[0] / _unit_of(crs)[0] - 1) > 1e-12:
+        warn(f"{name}: its CRS is in {_unit_of(crs)[1]}, but its key of linear units says {xy[1]}: used")
+        crs = None
+    if crs is None and keys.keys() & {_PROJECTED, _CONVERSION, _METHOD}:
+        crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
+        if crs is None:
+            warn(f"{name}: its GeoTIFF keys state a CRS that is not understood: pass crs= to state it for outputs")
+    xy = xy or (None if crs is None else _unit_of(crs))
+    if xy is None:
+        return Reference()
+    heights = _epsg(keys.get(_VERTICAL, 0))
+    z = z or (_unit_of(heights) if heights is not None and heights.is_vertical else xy)
+    if crs is not None and keys.get(_VERTICAL):
+        crs = _with_heights(crs, heights, keys, z)
+        if vertical(crs) is None:
+            warn(f"{name}: its GeoTIFF keys state heights that are not understood: outputs do not state them")
     found = Reference() if crs is None else _from_crs(crs, name)
-    return found if xy is None or found.problem else dataclasses.replace(found, units=_units(xy, z or xy))
+    return found if found.problem else dataclasses.replace(found, units=_units(xy, z))
 
 
 def _with_heights(
@@ -432,18 +420,14 @@ def _with_heights(
 ) -> pyproj.CRS:
     """A horizontal CRS with the heights that GeoTIFF keys state, in a unit. ``heights``: what has the code of the key
     ``_VERTICAL``, which may also be that of an ellipsoid or of a datum, as GeoTIFF 1.0 had them."""
-    code = keys.get(_VERTICAL, 0)
-    if code in _ELLIPSOIDS or (heights is not None and heights.is_geographic and len(heights.axis_info) == 3):
-        return _in_unit(crs.to_3d(), unit, slice(2, 3))
-    if heights is None or not heights.is_vertical:
-        with contextlib.suppress(pyproj.exceptions.CRSError):
-            datum = Datum.from_epsg(keys.get(_VERTICAL_DATUM) or code).name
-            heights = _heights(f"{datum} height", datum, unit)
-    elif not math.isclose(_unit_of(heights)[0], unit[0], rel_tol=1e-7):
-        heights = _heights(f"{heights.name} ({unit[1]})", _height_datum(heights) or "", unit)
-    if heights is None or not heights.is_vertical:
-        return crs
-    return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
+    code = keys[_VERTICAL]
+    if code in _ELLIPSOIDS or vertical(heights) == ELLIPSOIDAL:
+        return crs.to_3d()
+    if heights is None or not heights.is_vertical or abs(unit[0] / _unit_of(heights)[0] - 1) > 1e-7:
+        known = heights is not None and heights.is_vertical and _height_datum(heights)
+        datum = known or _datum(keys.get(_VERTICAL_DATUM) or code)
+        heights = _heights(f"{datum} height ({unit[1]})", datum or "", unit)
+    return crs if heights is None else pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
 @functools.lru_cache(maxsize=256)
@@ -451,16 +435,15 @@ def _from_parameters(keys: bytes, doubles: bytes, texts: bytes) -> pyproj.CRS | 
     """The projected CRS of GeoTIFF keys, by GDAL, which reads them from an image of one pixel; None if they do not define one."""
     import rasterio
 
-    records = [(33550, 12, 8, struct.pack("<3d", 1, 1, 0)), (33922, 12, 8, bytes(48))]  # a place, or rasterio warns
-    records += [(GEOKEYS, 3, 2, keys), (_DOUBLES, 12, 8, doubles), (_TEXTS, 2, 1, texts)]
+    tags = [(33550, 12, struct.pack("<3d", 1, 1, 0)), (33922, 12, bytes(48))]  # a place, or rasterio warns
+    tags += [(GEOKEYS, 3, keys), (_DOUBLES, 12, doubles), (_TEXTS, 2, texts)]
     fields, body = [(256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 1, 8), (273, 4, 1, 8), (279, 4, 1, 1)], bytes(8)
-    for tag, kind, size, content in records:
-        if content:
-            fields.append((tag, kind, len(content) // size, 8 + len(body)))
+    for tag, kind, content in tags:
+        if count := len(content) // {2: 1, 3: 2, 12: 8}[kind]:
+            fields.append((tag, kind, count, 8 + len(body)))
             body += content.ljust(-len(content) // 8 * -8, b"\0")
-    head = struct.pack("<2sHI", b"II", 42, 8 + len(body))
-    table = b"".join(struct.pack("<HHII", *field) for field in fields)
-    image = head + body + struct.pack("<H", len(fields)) + table + bytes(4)
+    table = struct.pack("<H", len(fields)) + b"".join(struct.pack("<HHII", *field) for field in fields) + bytes(4)
+    image = struct.pack("<2sHI", b"II", 42, 8 + len(body)) + body + table
     try:
         with rasterio.MemoryFile(image) as memory, memory.open() as file:
             text = "" if file.crs is None else file.crs.to_wkt(version="WKT2_2019")
@@ -468,17 +451,6 @@ def _from_parameters(keys: bytes, doubles: bytes, texts: bytes) -> pyproj.CRS | 
         raise ValueError(error) from error
     known = text.startswith("PROJCRS") and "unretrievable" not in text  # the ellipsoid, which GDAL then guesses
     return pyproj.CRS.from_wkt(text) if known else None
-
-
-def _in_unit(crs: pyproj.CRS, unit: tuple[float, str], axes: slice) -> pyproj.CRS:
-    """A CRS with a unit, metres and name, for some of its axes; itself if they have it."""
-    if all(math.isclose(axis.unit_conversion_factor, unit[0], rel_tol=1e-12) for axis in crs.axis_info[axes]):
-        return crs
-    stated = crs.to_json_dict() | {"name": f"{crs.name} ({unit[1]})"}
-    stated.pop("id", None)
-    for axis in stated["coordinate_system"]["axis"][axes]:
-        axis["unit"] = {"type": "LinearUnit", "name": unit[1], "conversion_factor": unit[0]}
-    return pyproj.CRS.from_json_dict(stated)
 
 
 def geokeys(crs: pyproj.CRS) -> bytes | None:
@@ -496,6 +468,14 @@ def _epsg(code: int) -> pyproj.CRS | None:
     """The CRS of a code, None if there is none."""
     try:
         return pyproj.CRS.from_epsg(code) if _is_epsg(code) else None
+    except pyproj.exceptions.CRSError:
+        return None
+
+
+def _datum(code: int) -> str | None:
+    """The name of the datum of a code, None if there is none."""
+    try:
+        return str(Datum.from_epsg(code).name)
     except pyproj.exceptions.CRSError:
         return None
 
