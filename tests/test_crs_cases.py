@@ -110,7 +110,7 @@ def test_keys_with_parameters_become_the_crs_of_outputs(tmp_path, keys, doubles,
 @pytest.mark.parametrize("keys, unit", [
     (PLAIN | {3076: 9003}, FOOT), (PLAIN | {3074: 32767, 3075: 1, 3076: 9003}, FOOT), ({1024: 1, 3072: 3, 3076: 9003}, FOOT),
     (PLAIN | {3074: 16032, 3076: 9001}, 1),  # of no datum
-    ({1024: 1, 3072: 26915, 4096: 32767, 4099: 9001}, 1),
+    ({1024: 1, 3072: 26915, 4096: 32767, 4099: 9001}, 1), ({1024: 1, 3072: 26915, 4096: 4326}, 1),
 ])  # fmt: skip
 def test_keys_that_are_not_understood_are_said_and_their_units_hold(tmp_path, keys, unit):
     path = file_with(tmp_path / "in.las", *geokeys(keys), point_format=1, wkt_bit=False)

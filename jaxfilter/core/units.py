@@ -399,7 +399,8 @@ def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
         warn(f"{name}: its CRS is in {_unit_of(crs)[1]}, but its key of linear units says {xy[1]}: used")
         crs = None
     if crs is None and keys.keys() & {_PROJECTED, _CONVERSION, _METHOD}:
-        crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
+        if xy is not None or not _is_epsg(keys.get(_LINEAR, 0)):
+            crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
         if crs is None:
             warn(f"{name}: its GeoTIFF keys state a CRS that is not understood: pass crs= to state it for outputs")
     xy = xy or (None if crs is None else _unit_of(crs))
