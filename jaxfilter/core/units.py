@@ -142,40 +142,34 @@ def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
 
 
 def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
-    """What GeoTIFF, GeoPackage and LAS can state of a CRS. Warns: if that is not all of it."""
+    """What GeoTIFF, GeoPackage and LAS can state of a CRS: its heights only by the code of their datum, since GDAL puts another
+    datum and unit into a GeoTIFF otherwise. Warns: if that is not all of it."""
     if crs is None:
         return None
-    parts = crs.sub_crs_list or [crs.to_2d()]
+    flat, heights = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d(), _parts(crs)[-1]
     try:
-        text = parts[0].to_wkt("WKT1_GDAL")
-        if (
-            crs.is_compound and (heights := _coded(_parts(crs)[-1])) is not None
-        ):  # CompoundCRS leaves out the code of a unit
-            return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{heights.to_wkt("WKT1_GDAL")}]')
+        text = flat.to_wkt("WKT1_GDAL")
+        if crs.is_compound:
+            coded = _epsg(heights.to_epsg()) or _heights(heights.name, _height_datum(crs), _unit_of(heights))
+            if coded is not None:  # as text: CompoundCRS leaves out the code of the unit
+                return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{coded.to_wkt("WKT1_GDAL")}]')
     except pyproj.exceptions.CRSError:
         warn(f"CRS {crs.name}: files of results cannot state it, they have no CRS")
         return None
-    if (name := vertical(crs)) != vertical(parts[0]):
-        warn(f"CRS {crs.name}: files of results cannot state its heights ({name}), they state {parts[0].name} only")
-    return parts[0]
+    if (name := vertical(crs)) != vertical(flat):
+        warn(f"CRS {crs.name}: files of results cannot state its heights ({name}), they state {flat.name} only")
+    return flat
 
 
-def _coded(heights: pyproj.CRS) -> pyproj.CRS | None:
-    """A vertical CRS with codes, None if there are none: GDAL puts other datums and units into a GeoTIFF without them."""
-    code, datum = heights.to_epsg(), _height_datum(heights)
-    return _epsg(code) if code else _heights(heights.name, datum or "", _unit_of(heights))
-
-
-def _heights(name: str, datum: str, unit: tuple[float, str]) -> pyproj.CRS | None:
+def _heights(name: str, datum: str | None, unit: tuple[float, str]) -> pyproj.CRS | None:
     """A vertical CRS with the codes of its datum and of its unit, metres and name; None if PROJ knows no such datum."""
     lengths = pyproj.database.get_units_map("EPSG", "linear").values()
-    codes = [length.code for length in lengths if math.isclose(length.conv_factor, unit[0], rel_tol=1e-7)]
     try:
-        code = Datum.from_name(datum).to_json_dict()["id"]["code"]
-        of = f'VERT_DATUM["{datum}",2005,AUTHORITY["EPSG","{code}"]]'
-        counted = f'UNIT["{unit[1]}",{unit[0]},AUTHORITY["EPSG","{codes[0]}"]]'
-        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",{of},{counted},AXIS["Up",UP]]')
-    except (pyproj.exceptions.CRSError, LookupError):
+        code = Datum.from_name(datum or "unknown").to_json_dict()["id"]["code"]
+        of_unit = next(length.code for length in lengths if math.isclose(length.conv_factor, unit[0], rel_tol=1e-7))
+        of = f'VERT_DATUM["{datum}",2005,AUTHORITY["EPSG","{code}"]],UNIT["{unit[1]}",{unit[0]},AUTHORITY["EPSG","{of_unit}"]]'
+        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",{of},AXIS["Up",UP]]')
+    except (pyproj.exceptions.CRSError, KeyError, StopIteration):
         return None
 
 
@@ -421,13 +415,13 @@ def _with_heights(
 ) -> pyproj.CRS:
     """A horizontal CRS with the heights that GeoTIFF keys state, in a unit. ``heights``: what has the code of the key
     ``_VERTICAL``, which may also be that of an ellipsoid or of a datum, as GeoTIFF 1.0 had them."""
-    code = keys[_VERTICAL]
-    if code in _ELLIPSOIDS or vertical(heights) == ELLIPSOIDAL:
+    if keys[_VERTICAL] in _ELLIPSOIDS or vertical(heights) == ELLIPSOIDAL:
         return crs.to_3d()
-    if heights is None or not heights.is_vertical or abs(unit[0] / _unit_of(heights)[0] - 1) > 1e-7:
-        known = heights is not None and heights.is_vertical and _height_datum(heights)
-        datum = known or _datum(keys.get(_VERTICAL_DATUM) or code)
-        heights = _heights(f"{datum} height ({unit[1]})", datum or "", unit)
+    if heights is None or not heights.is_vertical:
+        datum = _epsg(keys.get(_VERTICAL_DATUM) or keys[_VERTICAL], Datum)
+        heights = datum and _heights(f"{datum.name} height", datum.name, unit)
+    elif abs(unit[0] / _unit_of(heights)[0] - 1) > 1e-7:
+        heights = _heights(f"{heights.name} ({unit[1]})", _height_datum(heights), unit)
     return crs if heights is None else pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
@@ -465,18 +459,10 @@ def geokeys(crs: pyproj.CRS) -> bytes | None:
     return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)
 
 
-def _epsg(code: int) -> pyproj.CRS | None:
-    """The CRS of a code, None if there is none."""
+def _epsg(code: int | None, kind: Any = pyproj.CRS) -> Any:
+    """The CRS, or the :class:`Datum`, of a code, None if there is none."""
     try:
-        return pyproj.CRS.from_epsg(code) if _is_epsg(code) else None
-    except pyproj.exceptions.CRSError:
-        return None
-
-
-def _datum(code: int) -> str | None:
-    """The name of the datum of a code, None if there is none."""
-    try:
-        return str(Datum.from_epsg(code).name)
+        return kind.from_epsg(code) if code is not None and _is_epsg(code) else None
     except pyproj.exceptions.CRSError:
         return None
 
