@@ -96,6 +96,7 @@ LAMBERT = [(3078, 44.0), (3079, 42.66666667), (3084, -120.5), (3085, 41.66666666
     (PLAIN | {2048: 4326, 3074: 32767, 3075: 1, 3076: 9001}, TM, 32632),
     ({3072: 32632, 3076: 9003}, [], "+proj=utm +zone=32 +datum=WGS84 +units=us-ft"),
 ])  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*its key of linear units says")
 def test_keys_with_parameters_become_the_crs_of_outputs(tmp_path, keys, doubles, crs):
     path = file_with(tmp_path / "in.las", *geokeys(keys, doubles), point_format=1, wkt_bit=False)
     said, made = model_of(path)

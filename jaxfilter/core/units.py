@@ -134,8 +134,9 @@ def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
     of heights differs from none in this."""
     flat = horizontal(one), horizontal(other)
     if not same_system(*flat):
-        names = [f"{part.name} in {part.axis_info[0].unit_name}" for part in flat]
-        return (names[0], names[1]) if flat[0].name == flat[1].name else (flat[0].name, flat[1].name)
+        alike = flat[0].name == flat[1].name and all(part.axis_info for part in flat)
+        names = [f"{part.name} in {part.axis_info[0].unit_name}" if alike else part.name for part in flat]
+        return names[0], names[1]
     if len({_height_datum(one), _height_datum(other)} - {None}) > 1:
         return str(vertical(one)), str(vertical(other))
     return None
@@ -392,7 +393,7 @@ def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
     if crs is not None and xy is not None and abs(xy[0] / _unit_of(crs)[0] - 1) > 1e-12:
         warn(f"{name}: its CRS is in {_unit_of(crs)[1]}, but its key of linear units says {xy[1]}: used")
         crs = None
-    if crs is None and keys.keys() & {_PROJECTED, _CONVERSION, _METHOD}:
+    if crs is None and any(keys.get(key) for key in (_PROJECTED, _CONVERSION, _METHOD)):
         if xy is not None or not _is_epsg(keys.get(_LINEAR, 0)):
             crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
         if crs is None:
