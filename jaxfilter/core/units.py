@@ -366,12 +366,12 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
 def _unprojected(crs: pyproj.CRS | None, geocentric: bool) -> Reference:
     title = "" if crs is None else f" ({crs.name})"
     unit = crs.axis_info[0].unit_name if crs is not None and crs.axis_info else "metre" if geocentric else "degree"
+    wrong = f"not in a projected system{title}, so distances cannot be measured"
     if geocentric:
-        problem = f"coordinates are counted from the centre of the Earth{title}, so Z is not height"
-    else:
-        problem = f"coordinates are not in a projected system{title}, so distances cannot be measured"
-    advice = "reproject the file first, for example into its UTM zone"
-    return Reference(crs, None, f"{problem}; {advice}", f"{unit}, geocentric" if geocentric else unit)
+        wrong, unit = f"counted from the centre of the Earth{title}, so Z is not height", f"{unit}, geocentric"
+    return Reference(
+        crs, None, f"coordinates are {wrong}; reproject the file first, for example into its UTM zone", unit
+    )
 
 
 def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
