@@ -465,10 +465,9 @@ def geokeys(keys):
     ({3072: 32632, 4099: 9002}, 1, FOOT),
     ({3072: 32632, 4096: 8228}, 1, FOOT),
     ({3072: 32632, 3076: 9001}, 1, 1),
-    ({1024: 1, 3072: 32767, 3076: 9003}, SURVEY_FOOT, SURVEY_FOOT),
     ({3076: 9002, 4099: 9001}, FOOT, 1),
-    ({3072: 2225, 4096: 5103}, SURVEY_FOOT, SURVEY_FOOT),  # a vertical datum, an ellipsoid, no vertical CRS
-    ({3072: 2225, 4096: 5030}, SURVEY_FOOT, SURVEY_FOOT), ({3072: 2225, 4096: 4326}, SURVEY_FOOT, SURVEY_FOOT),
+    ({3072: 2225, 4096: 5103}, SURVEY_FOOT, SURVEY_FOOT),  # a vertical datum, an ellipsoid
+    ({3072: 2225, 4096: 5030}, SURVEY_FOOT, SURVEY_FOOT),
 ])  # fmt: skip
 def test_units_of_geotiff_keys(tmp_path, keys, xy, z):
     make_las(tmp_path / "in.las", 1)

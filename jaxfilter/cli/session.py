@@ -103,7 +103,7 @@ def in_flags(text: str) -> str:
     """A message of the library in the words of the running command: ``pass drop_invalid=True`` becomes
     ``pass --drop-invalid``, and ``leave out crs=`` becomes ``leave out --crs``. Arguments that the command has no flag for stay,
     and so do values that were given (``cell=0``)."""
-    context = click.get_current_context(silent=True)
+    context = click.get_current_context(silent=True) or Session.command  # threads have no context
     options = {p.name: p for p in context.command.params if isinstance(p, click.Option)} if context else {}
 
     def flag(found: re.Match[str]) -> str:
@@ -123,6 +123,8 @@ class Session:
 
     running = 0
     """How many there are now."""
+    command: click.Context | None = None
+    """The command that runs."""
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
@@ -156,6 +158,7 @@ class Session:
         warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
         compilation.keep_compilations()
         Session.running, Session.stopped_by = Session.running + 1, None
+        Session.command = click.get_current_context(silent=True)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

@@ -105,7 +105,8 @@ def laspy_parts(
         for vlr in [*las.header.vlrs, *(evlrs or ())]
         if (vlr.user_id, vlr.record_id) in STATED
     }
-    reference = asked.of(reference_of(stated, name), name)
+    wkt = las.point_format.id >= 6 or las.header.global_encoding.wkt
+    reference = asked.of(reference_of(stated, name, wkt), name)
     scale = linear_units(reference, name)
     ticks = np.stack([np.asarray(las[axis], np.int32) for axis in "XYZ"], axis=1)
     scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)

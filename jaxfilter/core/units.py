@@ -6,10 +6,12 @@ import dataclasses
 import functools
 import math
 import struct
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyproj
+from pyproj.crs import Datum  # type: ignore[attr-defined]  # a public name by its documentation
 
 from .errors import InputError, warn
 
@@ -17,14 +19,17 @@ METRES_PER_UNIT = (1e-3, 1e4)
 """Least and largest metres per coordinate unit that are believed."""
 
 PROJECTION = "LASF_Projection"
-WKT, GEOKEYS = 2112, 34735
-"""User and numbers of the records of a LAS file that state its CRS, LAS 1.4 R15 section 3."""
+WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS = 2112, 4224, 34735, 34736, 34737
+"""User and numbers of the records of a LAS file that state its CRS: LAS 1.4 R15 section 3, and the WKT 2 of PDAL."""
 
-STATED = ((PROJECTION, WKT), (PROJECTION, GEOKEYS))
+STATED = tuple((PROJECTION, number) for number in (WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS))
 """Keys of these records."""
 
-_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNITS = 1024, 2048, 3072, 3076, 4096, 4099
+ELLIPSOIDAL = "ellipsoidal height"
+_MODEL, _GEOGRAPHIC, _PROJECTED, _CONVERSION, _METHOD, _LINEAR = 1024, 2048, 3072, 3074, 3075, 3076
+_VERTICAL, _VERTICAL_DATUM, _VERTICAL_UNITS = 4096, 4098, 4099
 _GEOCENTRIC = 3  # value of the key _MODEL
+_ELLIPSOIDS = range(5001, 5100)  # values of the key _VERTICAL in GeoTIFF 1.0
 _SMALL = 0.5  # units: an extent of degrees or kilometres rather than of metres, if heights exceed it
 _DENSE = 1e8  # points per square unit: one per 100 m2 in degrees, one per 0.1 mm in metres
 _SAMPLE = 5_000  # points that tell the extent
@@ -92,11 +97,81 @@ def parse_crs(value: Any) -> pyproj.CRS | None:
         raise InputError(f"crs={value!r}: no coordinate reference system that PROJ knows: {reason}") from error
 
 
+def _parts(crs: pyproj.CRS) -> list[pyproj.CRS]:
+    """What a CRS consists of, without shifts to other datums."""
+    if crs.is_bound:
+        return _parts(crs.source_crs)  # type: ignore[arg-type]
+    return [part for each in crs.sub_crs_list for part in _parts(each)] if crs.is_compound else [crs]
+
+
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     """What a CRS says of X and Y, without heights and shifts to other datums."""
-    while crs.is_compound or crs.is_bound:
-        crs = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs  # type: ignore[assignment]
-    return crs
+    return _parts(crs)[0].to_2d()
+
+
+def vertical(crs: pyproj.CRS | None) -> str | None:
+    """The name of what a CRS says of heights, :data:`ELLIPSOIDAL` if it has three dimensions; None if it says nothing."""
+    parts = [] if crs is None else _parts(crs)
+    if any(len(part.axis_info) > 2 for part in parts):
+        return ELLIPSOIDAL
+    return next((part.name for part in parts if part.is_vertical), None)
+
+
+def _height_datum(crs: pyproj.CRS) -> str | None:
+    """What heights count from, by PROJ's name for it; None if the CRS does not say it."""
+    heights = _parts(crs)[-1]
+    if not heights.is_vertical:
+        return vertical(crs)
+    name = heights.name if heights.datum is None else heights.datum.name
+    try:
+        return ELLIPSOIDAL if "ellipsoid" in name.lower() else str(Datum.from_name(name).name)
+    except pyproj.exceptions.CRSError:
+        return None if name.lower() in ("", "unknown", "unnamed") else name
+
+
+def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
+    """The names of what differs between two CRS: their horizontal parts, or what heights count from. A CRS that says nothing
+    of heights differs from none in this."""
+    flat = horizontal(one), horizontal(other)
+    if not same_system(*flat):
+        alike = flat[0].name == flat[1].name and all(part.axis_info for part in flat)
+        names = [f"{part.name} in {part.axis_info[0].unit_name}" if alike else part.name for part in flat]
+        return names[0], names[1]
+    if len({_height_datum(one), _height_datum(other)} - {None}) > 1:
+        return str(vertical(one)), str(vertical(other))
+    return None
+
+
+def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
+    """What GeoTIFF, GeoPackage and LAS can state of a CRS: its heights only by the code of their datum, since GDAL puts another
+    datum and unit into a GeoTIFF otherwise. Warns: if that is not all of it."""
+    if crs is None:
+        return None
+    flat, heights = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d(), _parts(crs)[-1]
+    try:
+        text = flat.to_wkt("WKT1_GDAL")
+        if crs.is_compound:
+            coded = _epsg(heights.to_epsg()) or _heights(heights.name, _height_datum(crs), _unit_of(heights))
+            if coded is not None:  # as text: CompoundCRS leaves out the code of the unit
+                return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{coded.to_wkt("WKT1_GDAL")}]')
+    except pyproj.exceptions.CRSError:
+        warn(f"CRS {crs.name}: files of results cannot state it, they have no CRS")
+        return None
+    if (name := vertical(crs)) != vertical(flat):
+        warn(f"CRS {crs.name}: files of results cannot state its heights ({name}), they state {flat.name} only")
+    return flat
+
+
+def _heights(name: str, datum: str | None, unit: tuple[float, str]) -> pyproj.CRS | None:
+    """A vertical CRS with the codes of its datum and of its unit, metres and name; None if PROJ knows no such datum."""
+    lengths = pyproj.database.get_units_map("EPSG", "linear").values()
+    try:
+        code = Datum.from_name(datum or "unknown").to_json_dict()["id"]["code"]
+        of_unit = next(length.code for length in lengths if math.isclose(length.conv_factor, unit[0], rel_tol=1e-7))
+        of = f'VERT_DATUM["{datum}",2005,AUTHORITY["EPSG","{code}"]],UNIT["{unit[1]}",{unit[0]},AUTHORITY["EPSG","{of_unit}"]]'
+        return pyproj.CRS.from_wkt(f'VERT_CS["{name}",{of},AXIS["Up",UP]]')
+    except (pyproj.exceptions.CRSError, KeyError, StopIteration):
+        return None
 
 
 def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
@@ -150,19 +225,43 @@ class Reference:
     shown: str = ""
 
 
-def reference_of(records: dict[int, bytes], name: str) -> Reference:
-    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys. Warns
-    about records that cannot be understood; ``name`` is that of the file."""
-    for number, parse in ((WKT, _from_wkt), (GEOKEYS, _from_geokeys)):
+def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> Reference:
+    """From the data of the records :data:`STATED` by their numbers, as far as they can be understood.
+
+    Where WKT and GeoTIFF keys contradict one another, the WKT is used if ``wkt``, as LAS 1.4 has it for files whose WKT bit is
+    set, and else the keys; where they do not, what says more is used. Warns: about contradictions, and about records that
+    cannot be understood; ``name`` is that of the file.
+    """
+    kinds = [(WKT_2, "WKT 2"), (WKT, "WKT")]
+    kinds.insert(2 if wkt else 0, (GEOKEYS, "GeoTIFF keys"))
+    found: list[tuple[str, Reference]] = []
+    for number, kind in kinds:
         if not records.get(number, b"").strip(b"\0 "):
             continue
         try:
-            return parse(records[number], name)
+            read = _from_geokeys(records, name) if number == GEOKEYS else _from_wkt(records[number], name)
+            found.append((kind, read))
         except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
-            kind = "WKT" if number == WKT else "GeoTIFF keys"
             reason = str(error).splitlines()[0]
             warn(f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}")
-    return Reference()
+    kind, used = found[0] if found else ("", Reference())
+    for another, other in found[1:]:
+        if names := _contradiction(used, other):
+            of = f"the CRS of its {kind} is {names[0]}, that of its {another} is {names[1]}"
+            warn(f"{name}: {of}: the first is used; correct the file if that is wrong")
+        elif (other.crs is not None, bool(vertical(other.crs))) > (used.crs is not None, bool(vertical(used.crs))):
+            kind, used = another, other
+    return used
+
+
+def _contradiction(one: Reference, other: Reference) -> tuple[str, str] | None:
+    """The names of what differs between two references, as far as both state it."""
+    if one.crs is not None and other.crs is not None and (names := difference(one.crs, other.crs)):
+        return names
+    if one.units is None or other.units is None:
+        return None
+    z = bool(vertical(one.crs) and vertical(other.crs)) * (one.units.z / other.units.z - 1)
+    return (str(one.units), str(other.units)) if max(abs(one.units.xy / other.units.xy - 1), abs(z)) > 1e-7 else None
 
 
 class Stated(NamedTuple):
@@ -177,7 +276,7 @@ class Stated(NamedTuple):
             pass
         elif reference.crs is None:
             reference = _from_crs(self.crs, f"crs={self.crs.to_string()!r}")
-        elif not same_system(horizontal(self.crs), horizontal(reference.crs)):
+        elif difference(self.crs, reference.crs):
             raise InputError(
                 f"{name}: crs={self.crs.to_string()!r}: the file states another CRS, {reference.crs.name}: leave out crs=, since "
                 "nothing is reprojected"
@@ -267,36 +366,87 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
 def _unprojected(crs: pyproj.CRS | None, geocentric: bool) -> Reference:
     title = "" if crs is None else f" ({crs.name})"
     unit = crs.axis_info[0].unit_name if crs is not None and crs.axis_info else "metre" if geocentric else "degree"
+    wrong = f"not in a projected system{title}, so distances cannot be measured"
     if geocentric:
-        problem = f"coordinates are counted from the centre of the Earth{title}, so Z is not height"
-    else:
-        problem = f"coordinates are not in a projected system{title}, so distances cannot be measured"
-    advice = "reproject the file first, for example into its UTM zone"
-    return Reference(crs, None, f"{problem}; {advice}", f"{unit}, geocentric" if geocentric else unit)
+        wrong, unit = f"counted from the centre of the Earth{title}, so Z is not height", f"{unit}, geocentric"
+    return Reference(
+        crs, None, f"coordinates are {wrong}; reproject the file first, for example into its UTM zone", unit
+    )
 
 
-def _from_geokeys(data: bytes, name: str) -> Reference:
-    """GeoTIFF keys (OGC 19-008r4): EPSG codes, and the keys of linear units, which take precedence over the EPSG's."""
+def _from_geokeys(records: Mapping[int, bytes], name: str) -> Reference:
+    """GeoTIFF keys (OGC 19-008r4): EPSG codes, or parameters of a projection. Keys of units take precedence over what codes
+    say of units. Warns: where that differs, and about systems that are not understood."""
+    data = records[GEOKEYS]
     count = struct.unpack_from("<4H", data)[3]
     entries = [struct.unpack_from("<4H", data, 8 + 8 * i) for i in range(count)]
     keys = {key: value for key, location, _, value in entries if location == 0}
     projected, geographic, model = keys.get(_PROJECTED, 0), keys.get(_GEOGRAPHIC, 0), keys.get(_MODEL)
-    found = Reference()
-    if _is_epsg(projected):
-        found = _from_crs(pyproj.CRS.from_epsg(projected), name)
-    elif model in (2, _GEOCENTRIC) or (model is None and _PROJECTED not in keys and _is_epsg(geographic)):
+    unprojected = model in (2, _GEOCENTRIC) or (model is None and _PROJECTED not in keys and _is_epsg(geographic))
+    if unprojected and not _is_epsg(projected):
         crs = pyproj.CRS.from_epsg(geographic) if _is_epsg(geographic) else None
         return _unprojected(crs, model == _GEOCENTRIC or (crs is not None and bool(crs.is_geocentric)))
-    if found.problem is not None:
-        return found
-    stated = None if found.units is None else (found.units.xy, found.units.name)
-    xy = _linear_unit(keys.get(_LINEAR, 0)) or stated
+    crs = _epsg(projected)
+    if crs is not None and not crs.is_projected:
+        return _from_crs(crs, name)
+    xy, z = _linear_unit(keys.get(_LINEAR, 0)), _linear_unit(keys.get(_VERTICAL_UNITS, 0))
+    if crs is not None and xy is not None and abs(xy[0] / _unit_of(crs)[0] - 1) > 1e-12:
+        warn(f"{name}: its CRS is in {_unit_of(crs)[1]}, but its key of linear units says {xy[1]}: used")
+        crs = None
+    if crs is None and any(keys.get(key) for key in (_PROJECTED, _CONVERSION, _METHOD)):
+        if xy is not None or not _is_epsg(keys.get(_LINEAR, 0)):
+            crs = _from_parameters(data[: 8 + 8 * count], records.get(_DOUBLES, b""), records.get(_TEXTS, b""))
+        if crs is None:
+            warn(f"{name}: its GeoTIFF keys state a CRS that is not understood: pass crs= to state it for outputs")
+    xy = xy or (None if crs is None else _unit_of(crs))
     if xy is None:
-        return found
-    z = _linear_unit(keys.get(_VERTICAL_UNITS, 0)) or _vertical_unit(keys.get(_VERTICAL, 0))
-    if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
-        warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
-    return dataclasses.replace(found, units=_units(xy, z or xy))
+        return Reference()
+    heights = _epsg(keys.get(_VERTICAL, 0))
+    z = z or (_unit_of(heights) if heights is not None and heights.is_vertical else xy)
+    if crs is not None and keys.get(_VERTICAL):
+        crs = _with_heights(crs, heights, keys, z)
+        if vertical(crs) is None:
+            warn(f"{name}: its GeoTIFF keys state heights that are not understood: outputs do not state them")
+    found = Reference() if crs is None else _from_crs(crs, name)
+    return found if found.problem else dataclasses.replace(found, units=_units(xy, z))
+
+
+def _with_heights(
+    crs: pyproj.CRS, heights: pyproj.CRS | None, keys: Mapping[int, int], unit: tuple[float, str]
+) -> pyproj.CRS:
+    """A horizontal CRS with the heights that GeoTIFF keys state, in a unit. ``heights``: what has the code of the key
+    ``_VERTICAL``, which may also be that of an ellipsoid or of a datum, as GeoTIFF 1.0 had them."""
+    if keys[_VERTICAL] in _ELLIPSOIDS or vertical(heights) == ELLIPSOIDAL:
+        return crs.to_3d()
+    if heights is None or not heights.is_vertical:
+        datum = _epsg(keys.get(_VERTICAL_DATUM) or keys[_VERTICAL], Datum)
+        heights = datum and _heights(f"{datum.name} height", datum.name, unit)
+    elif abs(unit[0] / _unit_of(heights)[0] - 1) > 1e-7:
+        heights = _heights(f"{heights.name} ({unit[1]})", _height_datum(heights), unit)
+    return crs if heights is None else pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
+
+
+@functools.lru_cache(maxsize=256)
+def _from_parameters(keys: bytes, doubles: bytes, texts: bytes) -> pyproj.CRS | None:
+    """The projected CRS of GeoTIFF keys, by GDAL, which reads them from an image of one pixel; None if they do not define one."""
+    import rasterio
+
+    tags = [(33550, 12, struct.pack("<3d", 1, 1, 0)), (33922, 12, bytes(48))]  # a place, or rasterio warns
+    tags += [(GEOKEYS, 3, keys), (_DOUBLES, 12, doubles), (_TEXTS, 2, texts)]
+    fields, body = [(256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 1, 8), (273, 4, 1, 8), (279, 4, 1, 1)], bytes(8)
+    for tag, kind, content in tags:
+        if count := len(content) // {2: 1, 3: 2, 12: 8}[kind]:
+            fields.append((tag, kind, count, 8 + len(body)))
+            body += content.ljust(-len(content) // 8 * -8, b"\0")
+    table = struct.pack("<H", len(fields)) + b"".join(struct.pack("<HHII", *field) for field in fields) + bytes(4)
+    image = struct.pack("<2sHI", b"II", 42, 8 + len(body)) + body + table
+    try:
+        with rasterio.MemoryFile(image) as memory, memory.open() as file:
+            text = "" if file.crs is None else file.crs.to_wkt(version="WKT2_2019")
+    except rasterio.errors.RasterioError as error:
+        raise ValueError(error) from error
+    known = text.startswith("PROJCRS") and "unretrievable" not in text  # the ellipsoid, which GDAL then guesses
+    return pyproj.CRS.from_wkt(text) if known else None
 
 
 def geokeys(crs: pyproj.CRS) -> bytes | None:
@@ -310,14 +460,16 @@ def geokeys(crs: pyproj.CRS) -> bytes | None:
     return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)
 
 
-def _vertical_unit(code: int) -> tuple[float, str] | None:
-    """Unit of a vertical CRS. Writers also put the code of a vertical datum there (5103), or of an ellipsoid (5030), as
-    GeoTIFF had them once: these state no unit."""
+def _epsg(code: int | None, kind: Any = pyproj.CRS) -> Any:
+    """The CRS, or the :class:`Datum`, of a code, None if there is none."""
     try:
-        crs = pyproj.CRS.from_epsg(code)
+        return kind.from_epsg(code) if code is not None and _is_epsg(code) else None
     except pyproj.exceptions.CRSError:
         return None
-    return (crs.axis_info[0].unit_conversion_factor, crs.axis_info[0].unit_name) if crs.is_vertical else None
+
+
+def _unit_of(crs: pyproj.CRS) -> tuple[float, str]:
+    return crs.axis_info[0].unit_conversion_factor, crs.axis_info[0].unit_name
 
 
 def _is_epsg(code: int) -> bool:

@@ -254,7 +254,8 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
                     stated[record.key[1]] = file.read(size)
         for remark in header.remarks():
             warn(f"{path}: {remark}")
-        return LasFile(header, reference_of(stated, str(path)), extent)
+        wkt = header.point_format >= 6 or bool(header.head[6] & 16)  # of the global encoding
+        return LasFile(header, reference_of(stated, str(path), wkt), extent)
 
 
 def kept_las(path: Place, tables: bool = False) -> LasFile:

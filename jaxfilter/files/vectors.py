@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, OutputError, warn
+from ..core.units import for_outputs, horizontal, same_system
 from .disk import new_file
 from .sources import FARTHEST
 from .storage import Place
@@ -71,7 +72,8 @@ def _check_source(place: Path) -> None:
 def in_system(table: Any, crs: Any, name: str) -> Any:
     """A table or series of shapes, in a CRS if both state one. Raises: InputError if it cannot be transformed, and for
     coordinates that are NaN, infinite or beyond the Earth. Warns: if it is transformed."""
-    if crs is not None and table.crs is not None and not table.crs.equals(crs):
+    crs = crs and horizontal(crs)
+    if crs is not None and table.crs is not None and not same_system(horizontal(table.crs), crs):
         warn(f"{name}: transformed from {table.crs.name} to {crs.name}")
         try:
             table = table.to_crs(crs)
@@ -107,6 +109,7 @@ def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: st
 
     kind = DRIVERS[target.suffix.lower()]
     options = {"layer": layer} if kind == "GPKG" else {}
+    table = table.set_crs(for_outputs(table.crs), allow_override=True)
     if first and table.crs is None:
         also = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
         warn(f"{target}: the cloud has no CRS, so the file has none{also}: set the CRS of the layer where it is opened")

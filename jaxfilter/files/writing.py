@@ -11,13 +11,12 @@ from typing import BinaryIO
 
 import laspy
 import numpy as np
-import pyproj
 
 from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
-from ..core.units import GEOKEYS, STATED, WKT, geokeys
+from ..core.units import GEOKEYS, STATED, WKT, for_outputs, geokeys
 from . import copc, text
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
@@ -295,36 +294,26 @@ def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, by
     EPSG codes as GeoTIFF keys."""
     if cloud.crs is None or any(record.key in STATED for record in (*header.vlrs, *header.evlrs)):
         return None
+    if (crs := for_outputs(cloud.crs)) is None:
+        return None
     if header.minor >= 4:
-        wkt = _wkt(path, cloud.crs)
-        return None if wkt is None else (WKT, wkt.encode() + b"\0")
-    keys = geokeys(cloud.crs)
+        return WKT, crs.to_wkt("WKT1_GDAL").encode() + b"\0"
+    keys = geokeys(crs)
     if keys is None:
         without = f"its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out"
         warn(f"{path}: {without}: convert the input to LAS 1.4")
     return None if keys is None else (GEOKEYS, keys)
 
 
-def _wkt(path: Place, crs: pyproj.CRS) -> str | None:
-    try:
-        return str(crs.to_wkt("WKT1_GDAL"))
-    except pyproj.exceptions.CRSError as error:
-        warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}")
-        return None
-
-
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     """LAS 1.4, point format 6, without points yet."""
     decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
     made = laspy.LasHeader(version="1.4", point_format=6)
-    made.scales, made.offsets, made.generating_software = (
-        np.full(3, 10.0**-decimals),
-        np.floor(cloud.origin),
-        "jaxfilter",
-    )
+    made.scales, made.offsets = np.full(3, 10.0**-decimals), np.floor(cloud.origin)
+    made.generating_software = "jaxfilter"
     made.global_encoding.value = 1 | 16  # adjusted GPS time, CRS as WKT
-    if cloud.crs is not None and (wkt := _wkt(path, cloud.crs)) is not None:
-        made.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    if (crs := for_outputs(cloud.crs)) is not None:
+        made.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(crs.to_wkt("WKT1_GDAL")))
     file = io.BytesIO()
     laspy.LasWriter(file, made, closefd=False).close()
     identity = Identity(0, 0, file.seek(0, 2), 0)

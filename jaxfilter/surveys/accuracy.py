@@ -20,6 +20,7 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
 from ..core.markup import table
 from ..core.reading import Reading
+from ..core.units import vertical
 from ..core.version import __version__
 from ..files.disk import Bounds, Seal, new_file
 from ..files.header import FLOATS
@@ -211,8 +212,8 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
     """Raises: InputError for check points in another vertical datum than that of the model."""
     name = next((one for one in _DATUM if one in rows), None)
     stated = [] if name is None else sorted(set(rows[name].dropna().str.strip()))
-    crs = model.crs if _vertical(model.crs) is not None else collection.crs
-    known = _vertical(crs)
+    crs = model.crs if vertical(model.crs) is not None else collection.crs
+    known = vertical(crs)
     for text in stated:
         if known is None:
             notes.append(
@@ -229,12 +230,6 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
         )
 
 
-def _vertical(crs: Any) -> str | None:
-    """The vertical datum of a CRS by name, None if it has none."""
-    parts = [] if crs is None else [crs, *crs.sub_crs_list]
-    return next((part.name for part in parts if part.is_vertical and not part.is_compound), None)
-
-
 def _named(text: str) -> str:
     """The name of a vertical CRS by its code, or the text."""
     import pyproj
@@ -243,7 +238,7 @@ def _named(text: str) -> str:
         crs = pyproj.CRS.from_user_input(int(float(text)) if text.removesuffix(".0").isdigit() else text)
     except pyproj.exceptions.CRSError:
         return text
-    return _vertical(crs) or text
+    return vertical(crs) or text
 
 
 def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:

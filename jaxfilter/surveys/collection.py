@@ -20,7 +20,7 @@ import pyproj
 
 from ..core.errors import InputError, warn
 from ..core.reading import Reading
-from ..core.units import Stated, Units
+from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file, examined
 from ..files.storage import Remote, place_of
@@ -160,14 +160,15 @@ class Collection:
 
     @functools.cached_property
     def crs(self) -> pyproj.CRS | None:
-        """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`.
+        """The CRS of all files, with heights if a file states them; None if no file states a CRS. Raises: InputError, as
+        :attr:`units`.
 
         >>> print(jf.open("survey", units="m").crs)
         None
         """
         refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
-        stated = next((w for w in self._columns["wkt"] if w is not None), None)
-        return None if stated is None else pyproj.CRS.from_wkt(stated)
+        stated = [pyproj.CRS.from_wkt(wkt) for wkt in dict.fromkeys(self._columns["wkt"]) if wkt is not None]
+        return next((crs for crs in stated if vertical(crs)), stated[0] if stated else None)
 
     @functools.cached_property
     def units(self) -> Units:

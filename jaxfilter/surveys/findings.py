@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError
-from ..core.units import Units, horizontal, same_system
+from ..core.units import Units, difference
 from ..files.disk import Bounds
 
 OVERLAP = 0.001
@@ -135,9 +135,9 @@ class Footprints:
 
 
 def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:
-    """Raises InputError, naming two files, if files differ in horizontal CRS or in units.
+    """Raises InputError, naming two files, if files differ in horizontal CRS, in what heights count from, or in units.
 
-    Files that state no CRS go with those that do, if their units are the same: many surveys have some.
+    Files that state no CRS, or nothing of heights, go with those that do, if their units are the same: many surveys have some.
     """
     kinds: dict[tuple[str | None, Units], str] = {}
     for uri, wkt, unit in zip(uris, wkts, units, strict=True):
@@ -151,12 +151,12 @@ def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Seque
                 "pass units= if one states its unit wrongly"
             )
         if wkt is not None:
-            crs = horizontal(pyproj.CRS.from_wkt(wkt))
+            crs = pyproj.CRS.from_wkt(wkt)
             if not any(crs.equals(known) and known.equals(crs) for _, known in systems):
                 systems.append((uri, crs))
     for (one, first), (another, second) in itertools.combinations(systems, 2):
-        if not same_system(first, second):
+        if names := difference(first, second):
             raise InputError(
-                f"{one} is in {first.name}, {another} in {second.name}: files of different coordinate reference systems "
+                f"{one} is in {names[0]}, {another} in {names[1]}: files of different coordinate reference systems "
                 "cannot be run together; reproject one"
             )

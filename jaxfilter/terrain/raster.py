@@ -13,6 +13,7 @@ import numpy as np
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
+from ..core.units import for_outputs
 from ..files.disk import Bounds, check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
@@ -308,6 +309,7 @@ def _profile(
     """How GeoTIFF files are made."""
     import rasterio
 
+    crs = for_outputs(crs)
     return {
         "driver": "GTiff", "dtype": kind, "count": 1, "height": shape[0], "width": shape[1],
         "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
