@@ -1,17 +1,16 @@
-"""The file that a cloud was read from, by which its points are read again."""
+"""The LAS file that a cloud was read from, by which its points are read again."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ..core.errors import InputError
-from . import records, text
+from . import records
 from .disk import CHANGED_SINCE, Bounds, Identity, Tally
 from .header import Header, read_header
 from .storage import Place
@@ -19,11 +18,10 @@ from .storage import Place
 
 @dataclasses.dataclass(frozen=True)
 class Handle:
-    """The file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
+    """The LAS, LAZ or COPC file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
 
     Attributes:
         path: absolute, or remote.
-        kind: ``"las"`` (LAS, LAZ and COPC) or ``"text"``.
         format: in words, for messages.
         points: number of points taken from the file, the length of the cloud.
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
@@ -35,7 +33,6 @@ class Handle:
     """
 
     path: Place
-    kind: str
     format: str
     points: int
     bounds: Bounds | None
@@ -43,10 +40,6 @@ class Handle:
     checksum: int | None
     blocks: Any = None
     rows: np.ndarray | None = None
-
-    def layout(self) -> text.Layout:
-        """That of a text file. Raises InputError."""
-        return text.layout_of(cast(Path, self.path))
 
     def header(self) -> Header:
         """That of a LAS file. Raises InputError."""
@@ -60,22 +53,16 @@ class Handle:
             tally.add(chunk[:, :12].view("V12"))  # in one piece, which is copied faster
             yield chunk
 
-    def runs(self, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-        """The points, read once more and added to ``tally``: coordinates f64[k, 3] in file units and, of text, columns named
-        as those of a cloud. Raises InputError."""
-        if self.kind == "las":
-            header = self.header()
-            for chunk in self.records(header, tally, every_field=False):
-                yield records.coordinates(chunk, header), {}
-        else:
-            for xyz, columns in text.read_text(self.layout(), self.bounds):
-                tally.add(xyz)
-                yield xyz, columns
+    def runs(self, tally: Tally) -> Iterator[np.ndarray]:
+        """Coordinates f64[k, 3] in file units, read once more and added to ``tally``. Raises InputError."""
+        header = self.header()
+        for chunk in self.records(header, tally, every_field=False):
+            yield records.coordinates(chunk, header)
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
         with self.again() as tally:
-            return np.concatenate([np.zeros((0, 3)), *(xyz for xyz, _ in self.runs(tally))])
+            return np.concatenate([np.zeros((0, 3)), *self.runs(tally)])
 
     @contextlib.contextmanager
     def again(self) -> Iterator[Tally]:

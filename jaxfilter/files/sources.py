@@ -15,8 +15,9 @@ from ..core.errors import InputError
 from ..core.frame import ends
 from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds
-from .reading import is_text, kept_text, open_las
+from .reading import is_text, open_las
 from .storage import Place, place_of
+from .text import kept_text
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""

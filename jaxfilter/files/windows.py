@@ -19,10 +19,11 @@ from .blocks import Blocks, measured, nodes
 from .disk import Bounds, Identity
 from .handles import Handle
 from .header import Header
-from .reading import LasFile, TextFile, kept_text, open_las, open_text
+from .reading import LasFile, open_las
 from .records import coordinates, inside, read_records, reading_errors
 from .sources import Source
 from .storage import Place, Remote
+from .text import TextFile, kept_text, open_text
 
 _FILES = 64  # whose headers and blocks a process keeps
 
@@ -112,14 +113,18 @@ def file_cloud(
 
     Raises: InputError if the file has changed since the source was made.
     """
-    place, kind, blocks = source.place, "text" if source.format == "text" else "las", None
+    place, blocks = source.place, None
+    handle: Handle | TextFile
     with reading_errors(place):
-        identity = Identity.of(place)
-        file = kept_text(cast(Path, place)) if kind == "text" else _opened(place, identity).header
-        _check_identity(source, file)
-        if kind == "las" and checksum is None:
-            blocks = blocks_of(place, identity, index)
-    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks, rows)
+        if source.format == "text":
+            handle = kept_text(cast(Path, place)).within(bounds)
+            _check_identity(source, handle)
+        else:
+            identity = Identity.of(place)
+            _check_identity(source, _opened(place, identity).header)
+            if checksum is None:
+                blocks = blocks_of(place, identity, index)
+            handle = Handle(place.absolute(), source.format, len(candidate), bounds, identity, checksum, blocks, rows)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)
@@ -139,8 +144,8 @@ def _text_window(source: Source, reading: Reading) -> Window:
     _check_identity(source, file)
     if not reading.drop_invalid and not np.isfinite(file.xyz).all():
         open_text(file.path, cut, drop_invalid=False)  # which names the line
-    rows = np.ones(len(file.xyz), bool) if cut is None else inside(file.xyz, cut)
-    return Window(file.part(rows).cloud(reading), np.flatnonzero(rows))
+    part = file.within(cut)
+    return Window(part.cloud(reading), np.flatnonzero(part.rows))
 
 
 def _numbered(header: Header, cut: Bounds | None, blocks: Blocks | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:

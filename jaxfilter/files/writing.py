@@ -18,13 +18,15 @@ from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, geokeys
-from . import copc, records, text
+from . import copc, records
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import Tally, new_file
 from .handles import Handle
 from .header import FLOATS, RECORD_LENGTHS, Header, laszip_record, new_header
 from .records import CHUNK, Writer
 from .storage import Place, Remote, place_of
+from .text import SUFFIXES as TEXT_SUFFIXES
+from .text import TextFile, write_table
 
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
@@ -153,27 +155,26 @@ def write_cloud(
 ) -> Place:
     """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
     kind = path.suffix.lower()
-    if kind not in LAS_SUFFIXES + text.SUFFIXES:
-        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))
+    if kind not in LAS_SUFFIXES + TEXT_SUFFIXES:
+        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *TEXT_SUFFIXES))
         raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
-    source: Handle | None = cloud.source
+    source: Handle | TextFile | None = cloud.source
     if source is not None and source.points != len(cloud):
         raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
-    if kind in text.SUFFIXES:
+    if kind in TEXT_SUFFIXES:
         if result is None:
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
         named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
-        table = None if source is None or source.kind == "las" else source.layout()
-        named += [] if table is not None and "classification" in table.columns else asked(classes)
+        named += [] if isinstance(source, TextFile) and "classification" in source.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if (octree := copc.is_copc(path)) and source is not None and source.kind == "las":
+    if (octree := copc.is_copc(path)) and isinstance(source, Handle):
         copc.check_format(path, source.header().point_format)
     origin = None if source is None else source.path
-    again = contextlib.nullcontext(Tally()) if source is None else source.again()
+    again = source.again() if isinstance(source, Handle) else contextlib.nullcontext(Tally())
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as tally:
-        if kind in text.SUFFIXES:
+        if kind in TEXT_SUFFIXES:
             _write_text(path, temporary, cloud, labels, tally)
         else:
             plain = temporary.with_name("plain.las") if octree else temporary
@@ -229,8 +230,7 @@ class _Labels:
 
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
-    source: Handle | None = cloud.source
-    las = source if source is not None and source.kind == "las" else None
+    las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header()
     chunks = _fresh_records(path, header, cloud, tally) if las is None else las.records(header, tally)
     number = header.point_format
@@ -354,7 +354,7 @@ def _wkt(path: Place, crs: pyproj.CRS) -> str | None:
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
-    decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
+    decimals = cloud.source.decimals if isinstance(cloud.source, TextFile) else 3
     wkt = None if cloud.crs is None else _wkt(path, cloud.crs)
     today = datetime.date.today()
     created = (today.timetuple().tm_yday, today.year)
@@ -363,9 +363,9 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
 
 def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
     """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
-    for xyz, columns in _runs(cloud, tally):
+    for xyz in _runs(cloud, tally):
         rows = slice(tally.points - len(xyz), tally.points)
-        columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
+        columns = {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
         records.integers(chunk)[:] = _ticks(path, header, xyz)
         for name in COLUMNS:
@@ -374,31 +374,34 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally)
         yield chunk
 
 
-def _runs(cloud: PointCloud, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The coordinates in file units, f64[k, 3], added to ``tally``, and columns: of the source file, or else of the cloud."""
-    source: Handle | None = cloud.source
-    if source is not None:
-        yield from source.runs(tally)
+def _runs(cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
+    """The coordinates in file units, f64[k, 3], added to ``tally``: of the source file, or else of the cloud."""
+    if isinstance(cloud.source, Handle):
+        yield from cloud.source.runs(tally)
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)
-        xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-        tally.add(xyz)
-        yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan), {}
+        if isinstance(cloud.source, TextFile):
+            xyz = cloud.source.xyz[rows]
+        else:
+            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
+            xyz = xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan)
+        tally.points += len(xyz)
+        yield xyz
 
 
 def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
-    source: Handle | None = cloud.source
+    source: Handle | TextFile | None = cloud.source
+    if isinstance(source, TextFile):
+        source.rewrite(temporary, labels.ground, lambda old: labels.classes(old, slice(None)))
+        return
     with open(temporary, "xb") as file:
-        if source is not None and source.kind == "text":
-            text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes, tally)
-            return
         decimals = 3 if source is None else _decimals(source.header())
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
-        for xyz, _ in _runs(cloud, tally):
-            text.write_table(file, xyz, labels.ground[tally.points - len(xyz) : tally.points], decimals, delimiter)
+        for xyz in _runs(cloud, tally):
+            write_table(file, xyz, labels.ground[tally.points - len(xyz) : tally.points], decimals, delimiter)
 
 
 def _decimals(header: Header) -> int:
