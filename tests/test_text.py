@@ -111,8 +111,8 @@ def test_only_labels_change(drawn, cut):
     ("tree name\tx\ty\tz\told oak\n\t1.5\t2\t3\t\nan ash\t4\t5\t6\t\n",
      "tree name\tx\ty\tz\told oak\tlabel\n\t1.5\t2\t3\t\t0\nan ash\t4\t5\t6\t\t1\n"),
     ("x y z label note\n1.5 2 3 1 a\u00a0b\n4 5 6 1 #7\n", "x y z label note\n1.5 2 3 0 a\u00a0b\n4 5 6 1 #7\n"),
-    ("x, y, z, note\n1.50, 2, 3, a;b\n4, 5, 6, \"c, d\"\n", "x, y, z, note,label\n1.50,2,3,a;b,0\n4,5,6,\"c, d\",1\n"),
-    ("  1.50   2\t3 \r\n  4  5 6\r\n", "1.50\t2\t3\t0\r\n4\t5\t6\t1\r\n"),
+    ("x, y, z, note\n1.50, 2, 3, a;b\n4, 5, 6, \"c, d\"\n", "x,y,z,note,label\n1.50,2,3,a;b,0\n4,5,6,\"c, d\",1\n"),
+    ("  1.50   2\t3 \r\n  4  5 6\r\n", "1.50 2 3 0\r\n4 5 6 1\r\n"),
     ('x y z n\n1.5 2 3 "a b"\n4 5 6 ""\n', '"x" "y" "z" "n" "label"\n"1.5" "2" "3" "a b" "0"\n"4" "5" "6" "" "1"\n'),
     ('n;x;y;z\n"#1";1.5;2;3\n"c";4;5;6\n', '"n";"x";"y";"z";"label"\n"#1";"1.5";"2";"3";"0"\n"c";"4";"5";"6";"1"\n'),
 ])  # fmt: skip
@@ -200,7 +200,7 @@ NAMED = "x,y,z,label\n1,2,3,0\n"
     ("x,y,z,class\n1,2,3,300\n", "classification 300"), ("x,y,z,return_number\n1,2,3,1.5\n", "return_number 1.5"),
     ("\x00\x01\x02" * 500, "no line holds three numbers"), (NAMED + "1,2,3\x0b,0\n", "line 3 holds the control character 0x0b"),
     (NAMED + "1,2,3,0\n\x1a", "line 4 holds the control character 0x1a"),
-    (NAMED + '1,2,3,"0\r"\n', "line 3 holds the control character 0x0d"), ("1 2 3\r4 5 6\r", "line 1 holds the control character 0x0d"),
+    (NAMED + '1,2,3,"0\r"\n', "line 3 holds the control character 0x0d"), ("1 2 3\r4 5 6\r", "line 1 has a carriage return alone"),
     (NAMED + "1,2,\x003,0\n", "control character 0x00"),
     ("\ufeff1 2 3\n".encode("utf-16-le"), "UTF-16"), ("9" * 2_000_000 + "x", "line 1 has more than 1000000 bytes"),
     # decimal commas, rows of another width than the names, comments behind cells
@@ -253,7 +253,7 @@ def test_long_lines_take_no_longer(tmp_path, line):
 
 
 @pytest.mark.parametrize("content, expected", [
-    ("", ""), ("\n\n", ""), ("# nothing yet\n\n", ""), ("\ufeff", "\ufeff"), ("# x,y,z", "#x,y,z,label\n"),
+    ("", ""), ("\n\n", ""), ("# nothing yet\n\n", ""), ("\ufeff", ""), ("# x,y,z", "#x,y,z,label\n"),
     ("x,y,z\n", "x,y,z,label\n"), ("# by hand\nx y z label", "x y z label\n"), ("#\n" * 3000, ""),
 ])  # fmt: skip
 def test_no_points(tmp_path, content, expected):

@@ -134,7 +134,7 @@ class TextFile:
         quoted = b'"' in lines.data and (lines.delimiter is None or b'"#' in lines.data)
         table.to_csv(
             target,
-            sep=lines.delimiter or ("\t" if b"\t" in lines.data else " "),
+            sep=lines.delimiter or (" " if b" " in (lines.data or b"x y").partition(b"\n")[0].strip() else "\t"),
             header=False if lines.named is None else names,
             index=False,
             quoting=csv.QUOTE_ALL if quoted else csv.QUOTE_MINIMAL,
@@ -326,8 +326,9 @@ def _lines(path: Path, content: bytes) -> _Lines:
     head: list[bytes] = []
     first, others = None, 0
     for line in io.BytesIO(content):
-        if len(line) > _LONGEST:
-            raise InputError(f"{path}: line {len(head) + 1} has more than {_LONGEST} bytes; it is no text of points")
+        if len(line) > _LONGEST or b"\r" in line:
+            wrong = f"more than {_LONGEST} bytes" if len(line) > _LONGEST else "a carriage return alone"
+            raise InputError(f"{path}: line {len(head) + 1} has {wrong}; save it as lines of points that end with line feeds")
         if _is_point(line):
             first = len(head)
             break
