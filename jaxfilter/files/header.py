@@ -24,7 +24,7 @@ from ..core.errors import InputError, OutputError, warn
 from ..core.frame import check_scales
 from ..core.process import need_threads
 from ..core.units import PROJECTION, WKT
-from .disk import CHANGED_IN_READING, Identity
+from .disk import CHANGED_IN_READING, Identity, opened
 from .storage import Place, Remote, read_ranges
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -257,18 +257,6 @@ class Header:
         if crs is not None and crs[0] == WKT:
             head[6] |= 16
         return _parse(self.path, bytes(head), len(head))
-
-
-@contextlib.contextmanager
-def opened(path: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, Identity]]:
-    """An open file and its identity. Raises InputError, OSError."""
-    if isinstance(path, Remote):
-        identity = Identity.of(path)
-        with path.open(identity.size, sequential) as file:
-            yield file, identity
-    else:
-        with open(path, "rb") as file:
-            yield file, Identity.of(file.fileno())
 
 
 def read_header(path: Place, tables: bool = True) -> Header:

@@ -19,9 +19,9 @@ from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from . import records
 from .classes import Classes, class_changes
-from .disk import CHANGED_IN_READING, Bounds, Identity, Tally
+from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, opened
 from .handles import Handle
-from .header import Header, opened, read_header
+from .header import Header, read_header
 from .records import inside, read_records, reading_errors
 from .storage import Place, Remote, place_of
 from .text import SUFFIXES, TextFile, open_text

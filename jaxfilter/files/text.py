@@ -328,7 +328,9 @@ def _lines(path: Path, content: bytes) -> _Lines:
     for line in io.BytesIO(content):
         if len(line) > _LONGEST or b"\r" in line:
             wrong = f"more than {_LONGEST} bytes" if len(line) > _LONGEST else "a carriage return alone"
-            raise InputError(f"{path}: line {len(head) + 1} has {wrong}; save it as lines of points that end with line feeds")
+            raise InputError(
+                f"{path}: line {len(head) + 1} has {wrong}; save it as lines of points that end with line feeds"
+            )
         if _is_point(line):
             first = len(head)
             break

@@ -19,8 +19,7 @@ import pyproj
 
 from ..core.errors import DAMAGED, InputError
 from ..core.units import WKT, Reference, Stated, Units, reference_of
-from ..files.disk import new_file
-from ..files.header import opened
+from ..files.disk import new_file, opened
 from ..files.records import reading_errors
 from ..files.sources import FARTHEST, NO_BOUNDS, Source
 from ..files.storage import Place, Remote
