@@ -184,7 +184,7 @@ def read_ranges(place: Place, file: BinaryIO, starts: np.ndarray, sizes: np.ndar
         found.append(file.read(size))
         if len(found[-1]) < size:
             raise InputError(f"{place}: the file ends within its points; it is truncated")
-    return np.frombuffer(b"".join(found), np.uint8)
+    return np.frombuffer(bytearray().join(found), np.uint8)
 
 
 @contextlib.contextmanager
