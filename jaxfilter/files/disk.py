@@ -239,21 +239,21 @@ def new_file(
             part = Path(folder) / "part"
             yield part
             sync(part)
-            if isinstance(path, Path) and (found := existing(path)) is not None:
+            if isinstance(path, Path) and existing(path) is not None:
                 if not (mine or overwrite or into):
                     hint = "pass overwrite=True to replace it, or name another"
                     raise OutputError(f"{path}: another program made this file meanwhile; {hint}")
                 if mine:
-                    warn_of_names(path, found)
+                    warn_of_names(path)
                 shutil.copymode(path, part)
             os.replace(part, final)
             with contextlib.suppress(OSError):  # not every system can
                 sync(final.parent)
 
 
-def warn_of_names(path: Path, status: os.stat_result) -> None:
+def warn_of_names(path: Path) -> None:
     """Warn if a file that is to be replaced has other names, which keep what it holds now."""
-    if status.st_nlink > 1:
+    if (status := existing(path)) is not None and status.st_nlink > 1:
         warn(f"{path}: has {status.st_nlink} names (hard links): only this one gets the new content")
 
 

@@ -60,11 +60,11 @@ class Store:
         """
         check_own(self.path, make=True)
         lock = filelock.FileLock(self.path / _LOCK, timeout=0)
-        try:
-            with output_errors(self.path):
+        with output_errors(self.path):
+            try:
                 lock.acquire()
-        except filelock.Timeout as error:
-            raise OutputError(f"{self.path}: another run is writing into this folder") from error
+            except filelock.Timeout as error:
+                raise OutputError(f"{self.path}: another run is writing into this folder") from error
         try:
             yield
         finally:

@@ -227,7 +227,7 @@ class Targets:
         for entry, place, part in _entries(done):
             with output_errors(place):
                 if part.exists() and isinstance(place, Path):
-                    warn_of_names(place, os.stat(place))
+                    warn_of_names(place)
                     os.replace(part, os.path.realpath(place))
                 elif part.exists() and isinstance(place, Remote):  # it appears whole, and may be sent twice
                     place.put(part)
