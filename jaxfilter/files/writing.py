@@ -103,9 +103,9 @@ def write(
 
     A cloud from a LAS file is streamed from that file again: only the classes of candidates change, everything else is
     copied byte for byte (header with its dates, scales, records, extra bytes, flags, integer coordinates, waveforms).
-    Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep
-    their other cells and their comments when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to
-    0.001 units (0.0001 if the text has more than three decimals).
+    Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep their
+    other cells when written as text; comments and blanks around cells are lost. Clouds without a LAS file become LAS 1.4,
+    point format 6, to 0.001 units (0.0001 if the text has more than three decimals).
 
     A name that ends in .copc.laz makes a COPC file: the same records in the order of an octree. Point formats 0 to 3 become 6 and
     7 then, which is said; those with waveforms (4, 5, 9, 10) are refused. COPC that is written as .laz loses its octree.
@@ -363,14 +363,16 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
 
 def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
     """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
+    known = {name: values for name in COLUMNS if (values := getattr(cloud, name)) is not None}
+    if isinstance(cloud.source, TextFile):
+        known = cloud.source.columns | known
     for xyz in _runs(cloud, tally):
         rows = slice(tally.points - len(xyz), tally.points)
-        columns = {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
         records.integers(chunk)[:] = _ticks(path, header, xyz)
         for name in COLUMNS:
             one = name in ("return_number", "number_of_returns")  # where nothing is said: the only echo
-            records.put(chunk, header.point_format, name, columns.get(name, int(one)))
+            records.put(chunk, header.point_format, name, known[name][rows] if name in known else int(one))
         yield chunk
 
 
