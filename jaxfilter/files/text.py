@@ -33,8 +33,8 @@ SUFFIXES = (".txt", ".xyz", ".csv")
 GROUND, OBJECT = 0, 1
 """Labels as the ISPRS samples have them."""
 
-_LONGEST = 1_000_000  # bytes of a line
 _HEAD = 1000  # lines that may come before the first point, and comments that may name columns
+_BLANK = b" \t\n"
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 _PLAIN = bytes(i for i in range(256) if i > 0x1F or i in b"\t\n")  # no control characters
 _END = 8e88  # pandas sees this behind the last cell of each line, so that no cell can be missing; no cell of points
@@ -134,7 +134,7 @@ class TextFile:
         quoted = b'"' in lines.data and (lines.delimiter is None or b'"#' in lines.data)
         table.to_csv(
             target,
-            sep=lines.delimiter or (" " if b" " in (lines.data or b"x y").partition(b"\n")[0].strip() else "\t"),
+            sep=lines.delimiter or ("\t" if re.match(rb"[^ \n]*\t[^ \n]*\n", lines.data) else " "),
             header=False if lines.named is None else names,
             index=False,
             quoting=csv.QUOTE_ALL if quoted else csv.QUOTE_MINIMAL,
@@ -156,9 +156,8 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
         xyz, columns = lines.points()
         found = TextFile(path, identity, str(lines), zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns)
         part = found.within(bounds)
-        odd = (
-            ~np.isfinite(xyz) & (part.rows | ~np.isfinite(xyz[:, :2]).all(axis=1))[:, None]
-        )  # of those that may matter
+        odd = ~np.isfinite(xyz)
+        odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
         if odd.any() and not drop_invalid:
             row, axis = np.argwhere(odd)[0]
             hint = "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
@@ -234,8 +233,7 @@ class _Lines:
     def points(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Coordinates f64[n, 3] and columns, as of :class:`TextFile`. Raises: InputError."""
         values, columns = self._numbers(), {}
-        for name in _LARGEST.keys() & values.keys():
-            column = values[name]
+        for name, column in ((name, values[name]) for name in _LARGEST if name in values):
             odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
             if odd.any():
                 row = int(odd.argmax())
@@ -322,34 +320,28 @@ def _lines(path: Path, content: bytes) -> _Lines:
     """Raises: InputError if the columns cannot be told from the first lines."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path}: the text is UTF-16; save it as UTF-8")
-    content = content.removeprefix(_MARK).replace(b"\r\n", b"\n")
-    head: list[bytes] = []
+    content = content.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head: list[bytes] = []  # the lines before the first point
     first, others = None, 0
     for line in io.BytesIO(content):
-        if len(line) > _LONGEST or b"\r" in line:
-            wrong = f"more than {_LONGEST} bytes" if len(line) > _LONGEST else "a carriage return alone"
-            raise InputError(
-                f"{path}: line {len(head) + 1} has {wrong}; save it as lines of points that end with line feeds"
-            )
         if _is_point(line):
-            first = len(head)
+            first = line
             break
         head.append(line)
         others += _holds_data(line)
         if others > _HEAD:
             break
-    near = [i for i in reversed(range(len(head))) if head[i].strip()]
-    comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))[:_HEAD]
-    above = [i for i in near if _holds_data(head[i])][:1]
+    near = [i for i in reversed(range(len(head))) if head[i].strip(_BLANK)]
+    comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))
+    above = near[len(comments) :][:1]  # the last other line
     headers: list[tuple[str | None, list[str], int | None]] = []  # what may name the columns, and how
-    for delimiter, i in itertools.product(_DELIMITERS, above + comments):
+    for delimiter, i in itertools.product(_DELIMITERS, above + comments[:_HEAD]):
         names = _cells(head[i].lstrip(b"/# \t"), delimiter)
         headers += [(delimiter, names, i)] if {"x", "y", "z"} <= set(map(_meaning, names)) else []
-    if above and first is None and not headers:
-        raise InputError(f"{path}: no line holds three numbers; this is not a text file of points")
     if above and not headers:
-        raise InputError(f"{path}: line {above[0] + 1}, {_shown(head[above[0]])}, names no columns x, y and z")
-    widths = {delimiter: 3 if first is None else len(_cells(line, delimiter)) for delimiter in _DELIMITERS}
+        wrong = f"line {above[0] + 1}, {_shown(head[above[0]])}, names no columns x, y and z"
+        raise InputError(f"{path}: {wrong if first else 'no line holds three numbers'}; this is no text of points")
+    widths = {delimiter: len(_cells(first or b"x y z", delimiter)) for delimiter in _DELIMITERS}
     if headers:  # that which fits
         found = max(headers, key=lambda one: (len(one[1]) == widths[one[0]], widths[one[0]]))
     else:
@@ -366,7 +358,7 @@ def _lines(path: Path, content: bytes) -> _Lines:
 
 
 def _holds_data(line: bytes) -> bool:
-    return line.lstrip()[:1] not in (b"", b"#")  # neither blank nor a comment
+    return line.lstrip(_BLANK)[:1] not in (b"", b"#")  # neither blank nor a comment
 
 
 def _is_point(line: bytes) -> bool:
