@@ -157,7 +157,7 @@ def existing(path: Path) -> os.stat_result | None:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     if not stat.S_ISREG(status.st_mode):
-        kind = next((name for name, test in _KINDS.items() if test(status.st_mode)), "special file")
+        kind = "folder" if stat.S_ISDIR(status.st_mode) else "pipe, device or socket"
         raise OutputError(f"{path}: is a {kind}, and only regular files are replaced; name another file")
     return status
 
@@ -176,12 +176,7 @@ _REASONS = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
     errno.EFBIG: "the disk is full, or the file too large for it",
     errno.ELOOP: "a link in it is not followed: remove it",
 }
-_KINDS = {
-    "folder": stat.S_ISDIR,
-    "pipe": stat.S_ISFIFO,
-    "socket": stat.S_ISSOCK,
-    "device": lambda mode: stat.S_ISCHR(mode) or stat.S_ISBLK(mode),
-}
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permissions of others than the owner to write
 
 
 @contextlib.contextmanager
@@ -260,11 +255,10 @@ def warn_of_names(path: Path) -> None:
 @functools.lru_cache(1024)  # once in a process
 def remove_dead(folder: Path) -> None:
     """Remove what killed processes have left in a folder: hidden folders of unfinished files, a day old and no links."""
-    with os.scandir(folder) as entries:
-        found = [Path(entry.path) for entry in entries if entry.name.startswith(UNFINISHED) and _is_own(entry.path)]
-    for place in found:
-        with contextlib.suppress(OSError):  # another process removes it
-            if time.time() - max(os.lstat(one).st_mtime for one in (place, *place.iterdir())) > _DEAD:
+    for place in folder.glob(f"{UNFINISHED}*"):
+        with contextlib.suppress(OSError):  # no folder, or another process or user has it
+            last = max(os.lstat(one).st_mtime for one in (place, *place.iterdir()))
+            if time.time() - last > _DEAD and not place.is_symlink():
                 shutil.rmtree(place)
 
 
@@ -302,26 +296,14 @@ def check_own(folder: Path, make: bool = False) -> None:
             folder.mkdir(0o700, parents=True, exist_ok=True)
         elif not os.path.lexists(folder):
             return
-        facts, writers = os.lstat(folder), stat.S_IWGRP | stat.S_IWOTH
-        known = facts
-        if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & writers):
+        facts, known = os.lstat(folder), None
+        if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & _OTHERS):
             with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder.parent) as made:
                 known = os.lstat(made)  # some disks know one owner, or no permissions
-    for wrong, what in (
-        (_is_link(folder), "is a link, which is not followed"),
-        (not stat.S_ISDIR(facts.st_mode), "is no folder"),
-        (facts.st_uid != known.st_uid, f"belongs to another user (number {facts.st_uid})"),
-        (facts.st_mode & ~known.st_mode & writers, "may be written to by others"),
-    ):
-        if wrong:
-            raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")
-
-
-def _is_link(path: str | Path) -> bool:
-    return os.path.islink(path) or getattr(os.path, "isjunction", os.path.islink)(path)
-
-
-def _is_own(path: str) -> bool:
-    """Whether this is a folder of this user, no link."""
-    owned = not hasattr(os, "getuid") or os.lstat(path).st_uid == os.getuid()
-    return owned and os.path.isdir(path) and not _is_link(path)
+    what = None
+    if not stat.S_ISDIR(facts.st_mode):
+        what = "is a link, which is not followed" if stat.S_ISLNK(facts.st_mode) else "is no folder"
+    elif known is not None and (known.st_uid, known.st_mode & _OTHERS) != (facts.st_uid, facts.st_mode & _OTHERS):
+        what = f"belongs to another user (number {facts.st_uid}), or others may write to it"
+    if what is not None:
+        raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")
