@@ -89,14 +89,7 @@ class Remote:
             raise InputError(f"{self.uri}: the server sends files only as a whole; copy it to a local disk")
         if (cache := getattr(file, "cache", None)) is not None:  # stores in memory have none, and do not fail
             fetch = cache.fetcher
-
-            def whole(start: int, end: int) -> bytes:
-                part: bytes = fetch(start, end)
-                if len(part) < end - start:
-                    raise ConnectionError(f"{len(part)} of {end - start} bytes arrived")
-                return part
-
-            cache.fetcher = lambda start, end: self._ask(lambda *_: whole(start, end))
+            cache.fetcher = lambda start, end: self._ask(lambda *_: fetch(start, end))
         return cast(BinaryIO, file)
 
     def listed(self, suffixes: tuple[str, ...]) -> list[str]:

@@ -9,12 +9,11 @@ import contextlib
 import csv
 import dataclasses
 import functools
-import hashlib
 import io
 import itertools
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -73,9 +72,8 @@ class TextFile:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the file, wherever it is mounted: a hash of its size, the time of its last change and its bytes."""
-        stated = f"{self.identity.size} {self.identity.modified} {self.checksum}"
-        return hashlib.sha256(stated.encode()).hexdigest()[:32]
+        """Changes with the file, wherever it is mounted: its size, the time of its last change and its checksum."""
+        return f"{self.identity.size}-{self.identity.modified}-{self.checksum:08x}"
 
     @property
     def decimals(self) -> int:
@@ -124,10 +122,11 @@ class TextFile:
             if identity != self.identity or zlib.crc32(content) != self.checksum:
                 raise InputError(f"{self.path}: {CHANGED_SINCE}")
             lines = _lines(self.path, content)
-            table, names, known = lines.cells(), lines.header(), lines.columns
+            names, known = lines.header(), lines.columns
+            table = lines.table(range(len(names)), dtype=object, na_filter=False)
         table = table if self.rows.all() else table[self.rows].copy()
         if "label" in known or "classification" not in known:
-            table[known.get("label", len(lines.names))] = np.where(ground, GROUND, OBJECT)
+            table[known.get("label", len(names))] = np.where(ground, GROUND, OBJECT)
             names += [] if "label" in known else ["label"]
         if "classification" in known:
             table[known["classification"]] = classes(self.columns["classification"])
@@ -244,29 +243,23 @@ class _Lines:
             columns["reference"] = ~columns.pop("label")
         return np.column_stack([values[axis] for axis in "xyz"]), columns
 
-    def cells(self) -> Any:
-        """All cells, as a table of pandas."""
-        import pandas as pd
-
-        if not self.data:
-            return pd.DataFrame(columns=range(len(self.names)))
-        return self._table(usecols=range(len(self.names)), dtype=object, na_filter=False)
-
     def _numbers(self) -> dict[str, np.ndarray]:
         """The columns that are understood, f64[n]. Raises InputError with line and name of the first cell that is no number."""
         end, n = len(self.names), self.data.count(b"\n")
         self._checked(1)  # a column of the words True and False alone would be numbers to pandas
-        if self.data and not self.data.translate(None, _PLAIN):
+        if not self.data.translate(None, _PLAIN):
             with contextlib.suppress(ValueError):  # pandas' own errors, too
-                columns = [*self.columns.values(), end]
-                table = self._table(usecols=columns, dtype=float, na_values=["nan", "NaN", "NAN"])
+                table = self.table([*self.columns.values(), end], dtype=float, na_values=["nan", "NaN", "NAN"])
                 if len(table) == n and (table[end] == _END).all():
-                    return {name: table[column].to_numpy() for name, column in self.columns.items()}
+                    return {name: table[column].to_numpy(float) for name, column in self.columns.items()}
         return self._checked(n)
 
-    def _table(self, **options: Any) -> Any:
+    def table(self, columns: Sequence[int], **options: Any) -> Any:
+        """The cells of some columns, as a table of pandas; behind the last one of the file is a column of :data:`_END`."""
         import pandas as pd  # late: it takes half a second, which LAS does not need
 
+        if not self.data:
+            return pd.DataFrame(columns=columns)
         old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # these drop the last of many digits
         return pd.read_csv(
             io.BytesIO(self.data.replace(b"\n", f"{self.delimiter or ' '}{_END}\n".encode())),
@@ -276,6 +269,7 @@ class _Lines:
             skipinitialspace=True,
             keep_default_na=False,
             low_memory=False,
+            usecols=columns,
             encoding_errors="surrogateescape",
             float_precision="round_trip" if old else None,
             **options,
