@@ -324,12 +324,6 @@ def test_damaged_virtual_point_clouds(tmp_path, content, words):
         jf.open(tmp_path / "a.vpc")
 
 
-def test_a_name_that_is_no_unicode_is_written_and_read_back(tmp_path):
-    read = jf.open(write_items(tmp_path / "a.vpc", [an_item("./a\udcff.laz")]))
-    read.to_vpc(tmp_path / "b.vpc")
-    assert list(jf.open(tmp_path / "b.vpc").uris) == [str(tmp_path / "a\udcff.laz")]
-
-
 def spelled(code, kind="WKT1_GDAL", **changes):
     """The WKT of a CRS without the codes in it, with other words."""
     text = re.sub(r',AUTHORITY\["[^"]*","[^"]*"\]', "", pyproj.CRS.from_epsg(code).to_wkt(kind))

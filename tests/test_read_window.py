@@ -136,7 +136,7 @@ def test_windows_of_text(tmp_path, monkeypatch):
     assert source.format == "text" and source.count == 500 and source.crs is None
     assert source.bounds == (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
     assert source.z == (xyz[:, 2].min(), xyz[:, 2].max())
-    monkeypatch.setattr("jaxfilter.files.reading.open_text", None)
+    monkeypatch.setattr("jaxfilter.files.text.open_text", None)
     for box in (None, *boxes_of(source.bounds)):
         window, lag = read_window(source, box, reading=Reading(ignore_classes=(3,))), (0 if box is None else 1)
         monkeypatch.undo()
@@ -149,7 +149,7 @@ def test_windows_of_text(tmp_path, monkeypatch):
         assert window.cloud.xyz.tobytes() == cut.xyz.tobytes() and window.cloud.units == cut.units
         np.testing.assert_array_equal(window.cloud.classification, classes[inside])
         np.testing.assert_array_equal(window.cloud.candidate, cut.candidate)
-        monkeypatch.setattr("jaxfilter.files.reading.open_text", None)
+        monkeypatch.setattr("jaxfilter.files.text.open_text", None)
     monkeypatch.undo()
     path.write_text(path.read_text().replace(lines[7], lines[7].replace(f"{xyz[7, 2]:.2f}", "nan")))
     with pytest.raises(jf.InputError, match=r"in\.csv: the file has changed since the collection was opened"):

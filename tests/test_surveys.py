@@ -373,20 +373,6 @@ def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tm
     assert content() == before and held(d) | {".": None} == beside | {".": None}
 
 
-@pytest.mark.parametrize("words", [
-    RUNS["one"][1], RUNS["one in place"][1], lambda survey, d: ["info", survey, "--vpc", d / "all.vpc"],
-], ids=["one", "one in place", "points"])  # fmt: skip
-def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp_path, elsewhere, words):
-    d, (folder, content) = tmp_path / "d", elsewhere
-    d.mkdir()
-    (d / ".jaxfilter-00000000-00000000").symlink_to(folder)
-    before = content()
-    done = run(*words(survey, d))
-    assert done.exit_code == 0 and content() == before, done.output
-    assert f"{d / '.jaxfilter-00000000-00000000'}: is a link" in " ".join(done.stderr.split())
-    assert (d / ".jaxfilter-00000000-00000000").is_symlink()
-
-
 def stopped(survey, out):
     """Options of a run that is stopped after two tasks."""
     how = {"tile": 60.0, "wide_halos": True}

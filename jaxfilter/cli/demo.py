@@ -47,16 +47,15 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     than a metre high, low plants mostly, have a colour of their own.
     """
     from .. import scenes
-    from ..files.disk import remove_dead
+    from ..files.disk import UNFINISHED
     from ..files.reading import read
     from ..scoring import evaluate as score
     from ..surveys.ground import ground
     from ..surveys.measures import Recipe
     from .flags import method_of
 
-    if directory.is_dir():
-        remove_dead(directory)
-    others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES or p.is_symlink())
+    there = [place for place in directory.glob("*") if not place.name.startswith(UNFINISHED)]
+    others = sorted(place.name for place in there if place.name not in DEMO_FILES or place.is_symlink())
     if others and not overwrite:
         raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
     recipe = Recipe() if method is None else Recipe(method_of(method), preset="recommended")

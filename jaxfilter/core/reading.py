@@ -106,6 +106,15 @@ class Reading:
         """
         return self.stated.of(Reference(), "points").units or Units()
 
+    def of_points(self) -> dict[str, Any]:
+        """The fields that do not choose points of a file, by name: arguments of ``PointCloud.from_arrays``.
+
+        >>> "bounds" in jf.Reading().of_points()
+        False
+        """
+        names = (field.name for field in dataclasses.fields(self))
+        return {name: getattr(self, name) for name in names if name not in ("bounds", "aoi")}
+
     @property
     def echoes(self) -> frozenset[str]:
         """The kinds of echoes that are judged, ``{"all"}`` for all.

@@ -303,6 +303,14 @@ def sampled(n: int) -> slice:
     return slice(None, None, max(1, n // _SAMPLE))
 
 
+def check_lengths(name: object, xyz: np.ndarray, count: int, stated: bool, strict: bool) -> None:
+    """Raises: InputError if coordinates cannot be lengths, see :func:`not_metric`; unless ``strict``, that is a warning."""
+    if reason := not_metric(xyz, count, stated):
+        if strict:
+            raise InputError(f"{name}: {reason}")
+        warn(f"{name}: {reason}")
+
+
 def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
     """Why coordinates cannot be the lengths that they are taken for, or None.
 

@@ -5,33 +5,26 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import functools
 import hashlib
 import os
-import platform
-import re
-import secrets
 import shutil
 import stat
 import sys
 import tempfile
 import time
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
-
-import numpy as np
 
 from ..core.errors import InputError, OutputError, warn
 from ..core.reading import Bounds as Bounds
 from ..core.reading import check_bounds as check_bounds
 from .storage import Place, Remote, new_object
 
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
-
+UNFINISHED = ".jaxfilter-part-"
+"""Begins the names of hidden folders in which files lie while they are written."""
+_DEAD = 86_400.0  # seconds after which nobody writes to such a folder any more
 CHANGED_IN_READING = "the file changed while it was read; read it again when it is complete"
 CHANGED_SINCE = "the file has changed since the cloud was read; read it again"
 
@@ -81,18 +74,6 @@ class Identity:
             return True
 
 
-@contextlib.contextmanager
-def opened(place: Place) -> Iterator[tuple[BinaryIO, Identity]]:
-    """An open file and its identity. Raises InputError, OSError."""
-    if isinstance(place, Remote):
-        identity = Identity.of(place)
-        with place.open(identity.size) as file:
-            yield file, identity
-    else:
-        with open(place, "rb") as file:
-            yield file, Identity.of(file.fileno())
-
-
 @dataclasses.dataclass(frozen=True)
 class Seal:
     """By which a file that a run has written is known again.
@@ -135,27 +116,6 @@ def _checksum(path: Path) -> str:
         return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
 
-class Tally:
-    """Counts points and their checksum (CRC-32), in order; of a file that is read again, so many and that one are expected.
-    Points of LAS are counted by their integers X, Y, Z, points of text by their float64 coordinates."""
-
-    def __init__(self, path: Place | None = None, most: int = sys.maxsize, expected: int | None = None) -> None:
-        self.points = self.checksum = 0
-        self.path, self.most, self.expected = path, most, expected
-
-    def add(self, coordinates: np.ndarray) -> None:
-        """Append i32[k, 3] or f64[k, 3], or the bytes of as many points, before anything is done with them. Raises InputError."""
-        self.points += len(coordinates)
-        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
-        if self.points > self.most:
-            raise InputError(f"{self.path}: {CHANGED_SINCE}")
-
-    def finish(self) -> None:
-        """All points were added. Raises InputError if they are others than expected."""
-        if self.path is not None and (self.points != self.most or self.expected not in (None, self.checksum)):
-            raise InputError(f"{self.path}: {CHANGED_SINCE}")
-
-
 def check_suffix(place: Place, suffixes: Sequence[str]) -> Place:
     """The place. Raises: OutputError if its name is that of another kind of file."""
     if place.suffix.lower() not in suffixes:
@@ -173,7 +133,7 @@ def existing(path: Path) -> os.stat_result | None:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     if not stat.S_ISREG(status.st_mode):
-        kind = next((name for name, test in _KINDS.items() if test(status.st_mode)), "special file")
+        kind = "folder" if stat.S_ISDIR(status.st_mode) else "pipe, device or socket"
         raise OutputError(f"{path}: is a {kind}, and only regular files are replaced; name another file")
     return status
 
@@ -192,12 +152,19 @@ _REASONS = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
     errno.EFBIG: "the disk is full, or the file too large for it",
     errno.ELOOP: "a link in it is not followed: remove it",
 }
-_KINDS = {
-    "folder": stat.S_ISDIR,
-    "pipe": stat.S_ISFIFO,
-    "socket": stat.S_ISSOCK,
-    "device": lambda mode: stat.S_ISCHR(mode) or stat.S_ISBLK(mode),
-}
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permissions of others than the owner to write
+
+
+@contextlib.contextmanager
+def opened(place: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, Identity]]:
+    """An open file and its identity; ``sequential``: it is read from end to end. Raises: InputError, OSError."""
+    if isinstance(place, Remote):
+        identity = Identity.of(place)
+        with place.open(sequential) as file:
+            yield file, identity
+    else:
+        with open(place, "rb") as file:
+            yield file, Identity.of(file.fileno())
 
 
 @contextlib.contextmanager
@@ -211,29 +178,26 @@ def new_file(
 ) -> Iterator[Path]:
     """A name to write to; the file gets the name ``path`` when the block ends, and vanishes if it fails.
 
-    The file is written in a hidden folder beside ``path``, which is locked as long as its writer lives; folders that
-    killed runs have left there are removed. It has reached the disk before it gets its name. What ``path`` replaces
-    gives it its permissions. A symbolic link stays, and the file that it names is written; that may be a new one.
-    Without ``overwrite``, of two writers of one name the second fails. A remote file is written to a local disk first and
-    then sent.
+    The file is written in a hidden folder beside ``path``, and has reached the disk before it gets its name. A process that is
+    killed leaves that folder; a later write removes it when it is a day old. What ``path`` replaces gives it its permissions.
+    A symbolic link stays, and the file that it names is written; that may be a new one. A remote file is written to a local
+    disk first and then sent.
 
     ``into``: a local file that is written in place of ``path``, and whose content is to take that name later. Errors name
     ``path``, the permissions are its own, and an older file ``into`` is replaced.
 
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
     not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
+    Warns: of a file with several names that is replaced in place.
     """
     one = OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-    if into is not None:
-        final = into
-    elif isinstance(path, Remote):
+    if isinstance(path, Remote) and into is None:
         if path == source and not in_place:
             raise one
         with new_object(path, overwrite or path == source) as part:
             yield part
         return
-    else:
-        final = Path(os.path.realpath(path)) if os.path.islink(path) else path
+    final = into if into is not None else Path(os.path.realpath(path))  # type: ignore[arg-type]
     with output_errors(path):
         status = None if isinstance(path, Remote) or into else existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
@@ -242,18 +206,36 @@ def new_file(
         if status is not None and not mine and not overwrite:
             raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
         remove_dead(final.parent)
-        with workplace(final.parent) as folder:
-            part = folder / "part"
+        with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=final.parent, ignore_cleanup_errors=True) as folder:
+            part = Path(folder) / "part"
             yield part
             sync(part)
-            if mine or overwrite or into:
-                if isinstance(path, Path) and existing(path) is not None:
-                    shutil.copymode(path, part)
-                os.replace(part, final)
-            else:
-                _name_exclusively(part, final)
+            if isinstance(path, Path) and existing(path) is not None:
+                if not (mine or overwrite or into):
+                    hint = "pass overwrite=True to replace it, or name another"
+                    raise OutputError(f"{path}: another program made this file meanwhile; {hint}")
+                if mine:
+                    warn_of_names(path)
+                shutil.copymode(path, part)
+            os.replace(part, final)
             with contextlib.suppress(OSError):  # not every system can
                 sync(final.parent)
+
+
+def warn_of_names(path: Path) -> None:
+    """Warn if a file that is to be replaced has other names, which keep what it holds now."""
+    if (status := existing(path)) is not None and status.st_nlink > 1:
+        warn(f"{path}: has {status.st_nlink} names (hard links): only this one gets the new content")
+
+
+@functools.lru_cache(1024)  # once in a process
+def remove_dead(folder: Path) -> None:
+    """Remove what killed processes have left in a folder: hidden folders of unfinished files, a day old and no links."""
+    for place in folder.glob(f"{UNFINISHED}*"):
+        with contextlib.suppress(OSError):  # no folder, or another process or user has it
+            last = max(os.lstat(one).st_mtime for one in (place, *place.iterdir()))
+            if time.time() - last > _DEAD and not place.is_symlink():
+                shutil.rmtree(place)
 
 
 @contextlib.contextmanager
@@ -270,25 +252,6 @@ def output_errors(path: Place) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {reason}") from error
 
 
-def _name_exclusively(part: Path, final: Path) -> None:
-    """Rename, unless the name was taken since it was looked at."""
-    try:
-        try:
-            os.rename(part, final) if sys.platform == "win32" else os.link(part, final)  # which replace nothing there
-        except FileExistsError:
-            raise
-        except OSError:  # no hard links on this disk: claim the name, then replace the claim
-            os.close(os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
-            try:
-                os.replace(part, final)
-            except BaseException:
-                final.unlink()
-                raise
-    except FileExistsError as error:
-        hint = "pass overwrite=True to replace it, or name another"
-        raise OutputError(f"{final}: another program made this file meanwhile; {hint}") from error
-
-
 def sync(path: Path) -> None:
     """Wait until a file or folder has reached the disk."""
     descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
@@ -301,143 +264,22 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-# Folders of this package's own are made by it, for the user alone. What else has their name is not used, followed or removed.
-
-
 def check_own(folder: Path, make: bool = False) -> None:
-    """A folder is our own, or there is none; with ``make`` it is made. Raises: OutputError if something else has this name, a
-    link, a file, or what another user owns or may write to; or if it cannot be made."""
+    """A hidden folder is this user's own, or there is none; with ``make`` it is made, for the user alone. Raises: OutputError if
+    something else has this name, a link, a file, or what another user owns or may write to; or if it cannot be made."""
     with output_errors(folder):
         if make:
             folder.mkdir(0o700, parents=True, exist_ok=True)
         elif not os.path.lexists(folder):
             return
-        _check(folder, os.lstat(folder))
-
-
-def _check(folder: Path, facts: os.stat_result) -> None:
-    mode, writers, known = facts.st_mode, stat.S_IWGRP | stat.S_IWOTH, facts
-    if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or mode & writers):
-        made = tempfile.mkdtemp(prefix=_PREFIX, dir=folder.parent)  # some disks know one owner, or no permissions
-        known = os.lstat(made)
-        os.rmdir(made)
-    link = stat.S_ISLNK(mode) or getattr(os.path, "isjunction", os.path.islink)(folder)
-    for wrong, what in (
-        (link, "is a link, which is not followed"),
-        (not stat.S_ISDIR(mode), "is no folder"),
-        (facts.st_uid != known.st_uid, f"belongs to another user (number {facts.st_uid})"),
-        (mode & ~known.st_mode & writers, "may be written to by others"),
-    ):
-        if wrong:
-            raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")
-
-
-@contextlib.contextmanager
-def entered(folder: Path) -> Iterator[int | None]:
-    """A descriptor of a folder of our own, which stays that of this folder whatever gets its name; None on Windows."""
-    at = None if sys.platform == "win32" else os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        _check(folder, os.lstat(folder) if at is None else os.fstat(at))
-        yield at
-    finally:
-        if at is not None:
-            os.close(at)
-
-
-def open_lock(folder: Path, flags: int = 0) -> int:
-    """A descriptor of the lock file, no link, in a folder of our own. Raises: OSError, OutputError."""
-    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-    with entered(folder) as at:
-        return os.open(folder / LOCK if at is None else LOCK, flags, 0o600, dir_fd=at)
-
-
-def empty(folder: Path, lock: bool = False) -> None:
-    """Remove what a folder of our own holds, links but not what they lead to; the ``lock`` last, or not. Raises: OSError."""
-    with entered(folder) as at, os.scandir(folder if at is None else at) as entries:
-        for entry in sorted(entries, key=lambda entry: entry.name == LOCK):
-            if lock or entry.name != LOCK:
-                (shutil.rmtree if entry.is_dir(follow_symlinks=False) else os.unlink)(entry.path, dir_fd=at)
-
-
-# Unfinished files lie in a folder of their own, because some libraries remove and recreate what they write: a lock on
-# the file itself would be lost. The lock file is made first and removed last, so a folder without one is empty.
-
-_PREFIX, LOCK = ".jaxfilter-", "lock"
-_NAME = re.compile(r"\.jaxfilter-[0-9a-f]{8}-[0-9a-f]{8}")
-_FOREIGN_AGE = 86_400.0  # seconds
-"""Locks may not be seen across machines; what another one left is removed when it has not been written to for a day."""
-
-
-@contextlib.contextmanager
-def workplace(parent: Path) -> Iterator[Path]:
-    """A new folder that is locked as long as this process lives, and removed with all that is in it. A signal may raise at
-    any place, also while the folder is made or removed."""
-    folder, lock = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}", -1
-    try:
-        while lock < 0:
-            with contextlib.suppress(FileNotFoundError):  # another process took the empty folder for a dead one
-                folder.mkdir(mode=0o700)
-                lock = open_lock(folder, os.O_CREAT | os.O_EXCL)
-                if try_lock(lock) is False or not os.fstat(lock).st_nlink:
-                    os.close(lock)
-                    lock = -1
-        yield folder
-    finally:
-        try:
-            if lock >= 0:
-                _remove(folder, lock)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def remove_dead(parent: Path) -> None:
-    """Remove the folders of writers that live no more. Warns: of links of such a name, which are not followed."""
-    with os.scandir(parent) as entries:
-        found = [Path(entry.path) for entry in entries if _NAME.fullmatch(entry.name)]
-    for folder in found:
-        if folder.is_symlink():
-            warn(f"{folder}: is a link in place of a folder of unfinished files, and is not followed: remove it")
-        with contextlib.suppress(OSError):  # removed by another, or not ours to remove
-            age = time.time() - max(os.lstat(place).st_mtime for place in (folder, *folder.iterdir()))
-            if not folder.name.startswith(f"{_PREFIX}{_host()}-") and age < _FOREIGN_AGE:
-                continue
-            try:
-                lock = open_lock(folder)
-            except FileNotFoundError:
-                folder.rmdir()
-                continue
-            if try_lock(lock):
-                _remove(folder, lock)
-            else:
-                os.close(lock)
-
-
-def _remove(folder: Path, lock: int) -> None:
-    """Remove a folder whose lock is held, and let go of the lock."""
-    try:
-        if sys.platform == "win32":  # where nothing that is open can be removed
-            os.close(lock)
-            lock = -1
-        empty(folder, lock=True)
-        os.rmdir(folder)
-    except OSError:  # the next writer tries again
-        pass
-    finally:
-        if lock >= 0:
-            os.close(lock)
-
-
-def try_lock(descriptor: int) -> bool | None:
-    """Take the lock: whether that succeeded, or None where there are no locks."""
-    try:
-        if sys.platform == "win32":
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK) else None
-    return True
-
-
-def _host() -> str:
-    return f"{zlib.crc32(platform.node().encode()):08x}"
+        facts, known = os.lstat(folder), None
+        if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & _OTHERS):
+            with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder.parent) as made:
+                known = os.lstat(made)  # some disks know one owner, or no permissions
+    what = None
+    if not stat.S_ISDIR(facts.st_mode):
+        what = "is a link, which is not followed" if stat.S_ISLNK(facts.st_mode) else "is no folder"
+    elif known is not None and (known.st_uid, known.st_mode & _OTHERS) != (facts.st_uid, facts.st_mode & _OTHERS):
+        what = f"belongs to another user (number {facts.st_uid}), or others may write to it"
+    if what is not None:
+        raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -19,8 +17,7 @@ from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
 from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
-from ..core.units import STATED, Reference, Units, linear_units, not_metric, reference_of, sampled
-from . import text
+from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
 from .disk import CHANGED_IN_READING, Bounds, Identity, opened
 from .guard import check_chunks, read_header, reading_errors
@@ -29,6 +26,7 @@ from .header import Header
 from .points import CHUNK, attributes, integers, read_points, sampled_extent
 from .runs import Runs
 from .storage import Place, Remote, place_of
+from .text import SUFFIXES, TextFile, open_text
 from .writing import LAS_SUFFIXES, write
 
 if TYPE_CHECKING:
@@ -38,7 +36,6 @@ __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
 _FILES = 64  # whose headers a process keeps
-_OF_FILES = ("bounds", "aoi")  # fields of Reading that say which points of a file are read
 
 
 def read(
@@ -98,9 +95,11 @@ def read(
         las: Any = path
         if cut is not None:
             las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
-        return _warn_if_empty("LasData", PointCloud.from_laspy(las, **_fields(reading)), cut)
+        return _warn_if_empty("LasData", PointCloud.from_laspy(las, **reading.of_points()), cut)
     place = place_of(path)
-    return _warn_if_empty(place, _opened(place, reading).cloud(reading, progress or silent), cut)
+    file = _opened(place, reading)
+    cloud = file.cloud(reading) if isinstance(file, TextFile) else file.cloud(reading, progress or silent)
+    return _warn_if_empty(place, cloud, cut)
 
 
 def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: Any = None) -> dict[str, Any]:
@@ -158,14 +157,14 @@ def is_text(path: Place) -> bool:
     suffix = path.suffix.lower()
     if suffix in LAS_SUFFIXES:
         return False
-    if isinstance(path, Remote) and suffix in text.SUFFIXES:
+    if isinstance(path, Remote) and suffix in SUFFIXES:
         raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     with reading_errors(path), opened(path) as (file, _):
         if file.read(4) == b"LASF":
             return False
-    if suffix in text.SUFFIXES:
+    if suffix in SUFFIXES:
         return True
-    raise InputError(f"{path}: neither LAS nor one of {', '.join(text.SUFFIXES)}; give text one of these suffixes")
+    raise InputError(f"{path}: neither LAS nor one of {', '.join(SUFFIXES)}; give text one of these suffixes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,7 +217,7 @@ class LasFile:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
         stated = reference.units is not None or cut is not None
         if reading.units is None:
-            _check_lengths(path, ticks[sampled(n)] * scales + offsets, n, stated, strict)
+            check_lengths(path, ticks[sampled(n)] * scales + offsets, n, stated, strict)
         is_ground = columns["classification"] == GROUND_CLASS
         return PointCloud.from_integers(
             ticks,
@@ -227,7 +226,7 @@ class LasFile:
             dataclasses.replace(reading, units=units),
             name=str(path),
             crs=reference.crs,
-            source=Handle(path.absolute(), str(header), n, cut, header.identity, header),
+            source=Handle(header, n, cut),
             reference=is_ground if is_ground.any() else None,
             **columns,
         )
@@ -270,81 +269,8 @@ def _kept_las(path: Place, identity: Identity, tables: bool) -> LasFile:
     return open_las(path, tables)
 
 
-@dataclasses.dataclass(frozen=True)
-class TextFile:
-    """Points of a text file: its layout, n coordinates f64[n, 3] in file units, and columns named as those of a cloud."""
-
-    path: Path
-    identity: Identity
-    layout: text.Layout
-    xyz: np.ndarray
-    columns: dict[str, np.ndarray]
-
-    @property
-    def fingerprint(self) -> str:
-        """Changes with the file, wherever it is mounted: a hash of its size, the time of its last change and its points."""
-        stated = f"{self.identity.size} {self.identity.modified} {zlib.crc32(self.xyz.data)}"
-        return hashlib.sha256(stated.encode()).hexdigest()[:32]
-
-    def part(self, rows: np.ndarray) -> TextFile:
-        """Some of the points, bool[n]."""
-        columns = {name: column[rows] for name, column in self.columns.items()}
-        return dataclasses.replace(self, xyz=self.xyz[rows], columns=columns)
-
-    def cloud(self, reading: Reading, progress: Progress = silent, *, strict: bool = True) -> PointCloud:
-        """The points, which are those inside ``reading.bounds``; ``strict``: as of :class:`LasFile`."""
-        xyz, columns = self.xyz, dict(self.columns)
-        is_ground = columns.get("classification", np.zeros(0)) == GROUND_CLASS
-        if "reference" not in columns and is_ground.any():
-            columns["reference"] = is_ground
-        if reading.units is None:
-            some = xyz[sampled(len(xyz))]
-            some = some[np.isfinite(some).all(axis=1)]
-            _check_lengths(self.path, some, len(xyz), reading.bounds is not None, strict)
-        source = Handle(self.path.absolute(), str(self.layout), len(xyz), reading.bounds, self.identity)
-        fields: dict[str, Any] = columns | _fields(reading) | {"units": reading.metres}
-        return PointCloud.from_arrays(xyz, name=str(self.path), source=source, **fields)
-
-
-def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = True) -> TextFile:
-    """The points of a text file that are inside bounds. Raises: InputError as :func:`text.read_text`."""
-    with reading_errors(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
-        identity = Identity.of(file.fileno())
-        with identity.kept(path, CHANGED_IN_READING):
-            layout = text.layout_of(path)
-            parts = list(text.read_text(layout, bounds, drop_invalid))
-    xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in parts)])
-    columns = {key: np.concatenate([part[key] for _, part in parts]) for key in (parts[0][1] if parts else ())}
-    return TextFile(path, identity, layout, xyz, columns)
-
-
-def kept_text(path: Path) -> TextFile:
-    """All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
-    with reading_errors(path):
-        return _kept_text(path, Identity.of(path))
-
-
-@functools.lru_cache(1)
-def _kept_text(path: Path, identity: Identity) -> TextFile:
-    """``identity`` is that of the file now."""
-    return open_text(path)
-
-
 def _opened(place: Place, reading: Reading) -> LasFile | TextFile:
     return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
-
-
-def _fields(reading: Reading) -> dict[str, Any]:
-    names = (field.name for field in dataclasses.fields(reading))
-    return {name: getattr(reading, name) for name in names if name not in _OF_FILES}
-
-
-def _check_lengths(path: Place, some: np.ndarray, n: int, stated: bool, strict: bool) -> None:
-    """Raises: InputError if some coordinates out of n cannot be lengths; unless ``strict``, that is a warning."""
-    if reason := not_metric(some, n, stated):
-        if strict:
-            raise InputError(f"{path}: {reason}")
-        warn(f"{path}: {reason}")
 
 
 def _warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:

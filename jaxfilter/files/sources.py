@@ -17,8 +17,9 @@ from ..core.frame import ends
 from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds
 from .points import SMALL, measured
-from .reading import LasFile, is_text, kept_las, kept_text
+from .reading import LasFile, is_text, kept_las
 from .storage import Place, Remote, place_of
+from .text import kept_text
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""

@@ -1,4 +1,4 @@
-"""Bytes that are not on a local disk: files of object stores and web servers, by ranges, through fsspec.
+"""Files that are not on a local disk but in object stores and on web servers, through fsspec.
 
 Local files are ``Path``, all others :class:`Remote`; :func:`place_of` tells them apart. What a store needs to be reached
 (keys, endpoints, tokens) comes from its own configuration: the environment, its files, or fsspec's
@@ -14,11 +14,9 @@ import posixpath
 import tempfile
 import time
 import urllib.parse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
-
-import numpy as np
 
 from ..core.errors import InputError, OutputError
 
@@ -28,8 +26,7 @@ ATTEMPTS = 5
 FIRST_WAIT = 0.25
 """Seconds before the second attempt; each further one waits twice as long."""
 
-_SMALL, _LARGE = 4096, 8 << 20  # bytes read ahead: of headers, and of files that are read from end to end
-_GAP = 4096  # ranges that are this close are fetched as one
+_SMALL, _LARGE = 1 << 16, 8 << 20  # bytes read ahead: of headers and chunks, and of files that are read from end to end
 _MISSING = (404, 410)
 _PASSING = (408, 425, 429, 500, 502, 503, 504)  # HTTP status of failures that may pass
 _LASTING = (PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, ImportError, ValueError)
@@ -82,33 +79,16 @@ class Remote:
         known = (facts.get(key) for key in ("ETag", "Last-Modified", "LastModified", "mtime", "created"))
         return int(facts["size"]), str(next((value for value in known if value), ""))
 
-    def open(self, size: int, sequential: bool = False) -> BinaryIO:
-        """A file of ``size`` bytes that can be read and sought; ``sequential`` reads far ahead."""
-        from fsspec.spec import AbstractBufferedFile
-
-        class Ranges(AbstractBufferedFile):  # type: ignore[misc]
-            def _fetch_range(_, start: int, end: int) -> bytes:
-                return self.ranges([start], [end])[0]
-
+    def open(self, sequential: bool = False) -> BinaryIO:
+        """The file, which can be sought; ``sequential`` reads far ahead. Raises: InputError, also when it is read."""
         ahead = _LARGE if sequential else _SMALL
-        return cast(BinaryIO, Ranges(None, self.uri, block_size=ahead, cache_type="readahead", size=size))
-
-    def ranges(self, starts: Sequence[int], ends: Sequence[int]) -> list[bytes]:
-        """The bytes of each range, fetched at the same time. Raises InputError."""
-
-        def fetch(system: Any, path: str) -> list[bytes]:
-            found: list[Any] = system.cat_ranges([path] * len(starts), list(starts), list(ends), on_error="raise")
-            for part, size in zip(found, (end - start for start, end in zip(starts, ends, strict=True)), strict=True):
-                if len(part) > size:
-                    raise InputError(
-                        f"{self.uri}: the server sends {len(part)} bytes where {size} were asked for: it knows no ranges; "
-                        "copy the file to a local disk"
-                    )
-                if len(part) < size:
-                    raise ConnectionError(f"{len(part)} of {size} bytes arrived")
-            return [bytes(part) for part in found]
-
-        return self._ask(fetch)
+        file = self._ask(lambda system, path: system.open(path, "rb", block_size=ahead, cache_type="readahead"))
+        if not file.seekable():
+            raise InputError(f"{self.uri}: the server sends files only as a whole; copy it to a local disk")
+        if (cache := getattr(file, "cache", None)) is not None:  # stores in memory have none, and do not fail
+            fetch = cache.fetcher
+            cache.fetcher = lambda start, end: self._ask(lambda *_: fetch(start, end))
+        return cast(BinaryIO, file)
 
     def listed(self, suffixes: tuple[str, ...]) -> list[str]:
         """URIs of the files in this folder, or that match it as a pattern, that end so (in any case), sorted."""
@@ -171,35 +151,19 @@ Place = Path | Remote
 
 
 def place_of(what: str | os.PathLike[str] | Remote) -> Place:
-    """A local path, or a URI; ``file://`` is local."""
+    """A local path, or a URI; ``file://`` is local. Raises: InputError for a name that is not UTF-8."""
     if isinstance(what, Remote):
         return what
-    text = os.fspath(what)
+    text = os.fsdecode(what)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        shown = os.fsencode(text).decode("utf-8", "backslashreplace")
+        raise InputError(f"{shown}: the name of the file is not UTF-8; rename it") from error
     if "://" not in text:
         return Path(text)
     scheme, _, rest = text.partition("://")
     return Path(urllib.parse.unquote(rest)) if scheme in ("file", "local") else Remote(text)
-
-
-def read_ranges(place: Place, file: BinaryIO, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """u8: ranges of bytes of an open file, one after the other; ``starts`` and ``sizes`` are i64[k]. Of remote files, ranges
-    close to each other are fetched together, the others at the same time. Ranges do not overlap and are sorted. Raises:
-    InputError if the file ends before, OSError."""
-    found, ends = np.empty(int(sizes.sum()), np.uint8), np.cumsum(sizes)
-    pieces = zip(starts.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
-    if not isinstance(place, Remote):
-        for start, low, high in pieces:
-            file.seek(start)
-            if file.readinto(found[low:high].data) < high - low:  # type: ignore[attr-defined]
-                raise InputError(f"{place}: the file ends within its points; it is truncated")
-        return found
-    apart = np.append(True, starts[1:] - (starts + sizes)[:-1] > _GAP)[: len(starts)]
-    firsts = starts[apart]
-    parts = place.ranges(firsts.tolist(), (starts + sizes)[np.roll(apart, -1)].tolist())
-    for (start, low, high), k in zip(pieces, (np.cumsum(apart) - 1).tolist(), strict=True):
-        at = start - int(firsts[k])
-        found[low:high] = np.frombuffer(parts[k], np.uint8)[at : at + high - low]
-    return found
 
 
 @contextlib.contextmanager

@@ -1,192 +1,179 @@
-"""Point clouds as text: the ISPRS reference samples, xyz and csv; read and rewritten in runs of lines.
+"""Point clouds as text: the ISPRS reference samples, xyz and csv. pandas reads the cells, and pandas writes them.
 
-A record is a line. Comments, names and the number of cells are looked after here; what the cells of a line are is for pandas
-to say, in reading and in rewriting.
+A record is a line. Blank lines and comments (``#``) are passed over, and are not written again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
+import functools
 import io
 import itertools
 import re
-from collections.abc import Callable, Iterator, Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS, LARGEST
-from ..core.reading import inside
-from .disk import Bounds
+from ..core.reading import Reading, inside
+from ..core.units import check_lengths, sampled
+from .disk import CHANGED_IN_READING, CHANGED_SINCE, Bounds, Identity
 from .guard import reading_errors
 
 SUFFIXES = (".txt", ".xyz", ".csv")
 GROUND, OBJECT = 0, 1
 """Labels as the ISPRS samples have them."""
 
-_BLOCK = 1_000_000  # bytes that are read at a time
-_LONGEST = 1_000_000  # bytes of a line
-_PREAMBLE = 1000  # lines before the first point, and of comments that may name columns
-_PROBED = 1000  # lines of points whose decimals are counted
+_HEAD = 1000  # lines that may come before the first point, and comments that may name columns
+_BLANK = b" \t\n"
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
-_BLANK = b" \t\r\n"
-_PLAIN = bytes(i for i in range(256) if i > 0x1F or i in _BLANK)  # no control characters
-_ASIDE = (b"#", b"\n ", b"\n\t", b"\n\r", b"\n\n")  # where one of these is, a line may hold no data
-_END = 8e88  # no cell of points
-_DELIMITERS = (";", ",", "\t", None)
-_WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
+_PLAIN = bytes(i for i in range(256) if i > 0x1F or i in b"\t\n")  # no control characters
+_END = 8e88  # pandas sees this behind the last cell of each line, so that no cell can be missing; no cell of points
+_DELIMITERS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
 _NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
     "withheld": "withheld", "overlap": "overlap",
 }  # fmt: skip
-_UNNAMED = ["x", "y", "z", "label"]
 _LARGEST = LARGEST | {"withheld": 1, "overlap": 1, "label": 1}
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A text file, and how it is laid out.
+@dataclass(frozen=True, eq=False)
+class TextFile:
+    """Points of a text file.
 
     Attributes:
-        delimiter: comma, semicolon, tab, or None for white space.
-        columns: position by name, for the columns that are understood.
-        width: number of columns that every line of data has.
-        header: number of the line (from 0) that names the columns, or None.
-        first: number of the first line of data; that of the lines, if none holds data.
-        decimals: most digits behind the point of a coordinate among the first lines.
-        between: what is written between cells: the delimiter, or a tab or blank for white space.
+        format: in words. checksum: CRC-32 of all bytes of the file.
+        rows: bool of all lines of data, those whose points these are.
+        xyz: f64[n, 3], file units. columns: arrays [n], named as those of a cloud; ``reference`` comes from a column ``label``.
     """
 
     path: Path
-    delimiter: str | None
-    columns: dict[str, int]
-    width: int
-    header: int | None
-    first: int
-    decimals: int
-    between: str
+    identity: Identity
+    format: str
+    checksum: int
+    rows: np.ndarray
+    xyz: np.ndarray
+    columns: dict[str, np.ndarray]
 
-    def __str__(self) -> str:
-        return f"text separated by {_WORDS[self.delimiter]}: {' '.join(self.columns)}"
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return len(self.xyz)
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the file, wherever it is mounted: its size, the time of its last change and its checksum."""
+        return f"{self.identity.size}-{self.identity.modified}-{self.checksum:08x}"
+
+    @property
+    def decimals(self) -> int:
+        """How many show the coordinates: 3, or 4 where there are more."""
+        thousandths = self.xyz[:_HEAD] * 1000
+        return 4 if (np.abs(thousandths - np.rint(thousandths)) > 0.01).any() else 3
+
+    def part(self, some: np.ndarray) -> TextFile:
+        """Some of the points, bool[n]."""
+        rows = self.rows.copy()
+        rows[rows] = some
+        columns = {name: column[some] for name, column in self.columns.items()}
+        return dataclasses.replace(self, rows=rows, xyz=self.xyz[some], columns=columns)
+
+    def within(self, bounds: Bounds | None) -> TextFile:
+        """The points inside bounds."""
+        return self if bounds is None else self.part(inside(self.xyz, bounds))
+
+    def cloud(self, reading: Reading, *, strict: bool = True) -> PointCloud:
+        """The points as a cloud; they are those inside ``reading.bounds``. ``strict``: coordinates that cannot be lengths are an
+        error, not a warning, where no units are asked for. Raises: InputError."""
+        columns: dict[str, Any] = dict(self.columns)
+        if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
+            columns["reference"] = columns["classification"] == GROUND_CLASS
+        if reading.units is None:
+            some = self.xyz[sampled(self.points)]
+            some = some[np.isfinite(some).all(axis=1)]
+            check_lengths(self.path, some, self.points, reading.bounds is not None, strict)
+        fields = reading.of_points() | {"units": reading.metres}
+        source = dataclasses.replace(self, path=self.path.absolute())
+        return PointCloud.from_arrays(self.xyz, name=str(self.path), source=source, **columns, **fields)
+
+    def coordinates(self) -> np.ndarray:
+        """f64[n, 3] in file units, to the last digit."""
+        return self.xyz
+
+    def rewrite(self, target: Path, ground: np.ndarray, classes: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Write the points with all their cells, and the results in the label column, or else in the class column, or else in a
+        new last column of labels.
+
+        ``ground`` is bool[n]; ``classes`` makes new classes u8[n] of the old ones. Raises: InputError if the file is gone or has
+        changed; OSError.
+        """
+        with reading_errors(self.path):
+            identity, content = _content(self.path, CHANGED_SINCE)
+            if identity != self.identity or zlib.crc32(content) != self.checksum:
+                raise InputError(f"{self.path}: {CHANGED_SINCE}")
+            lines = _lines(self.path, content)
+            names, known = lines.header(), lines.columns
+            table = lines.table(range(len(names)), dtype=object, na_filter=False)
+        table = table if self.rows.all() else table[self.rows].copy()
+        if "label" in known or "classification" not in known:
+            table[known.get("label", len(names))] = np.where(ground, GROUND, OBJECT)
+            names += [] if "label" in known else ["label"]
+        if "classification" in known:
+            table[known["classification"]] = classes(self.columns["classification"])
+        quoted = b'"' in lines.data and (lines.delimiter is None or b'"#' in lines.data)
+        table.to_csv(
+            target,
+            sep=lines.delimiter or ("\t" if re.match(rb"[^ \n]*\t[^ \n]*\n", lines.data) else " "),
+            header=False if lines.named is None else names,
+            index=False,
+            quoting=csv.QUOTE_ALL if quoted else csv.QUOTE_MINIMAL,
+            encoding="utf-8-sig" if content.startswith(_MARK) else "utf-8",
+            errors="surrogateescape",
+            lineterminator="\r\n" if b"\r\n" in content else "\n",
+        )
 
 
-def layout_of(path: Path) -> Layout:
-    """From the first lines. Raises InputError if the columns cannot be told, or if names and columns do not match."""
-    lines, first = _head(path)
-    before = [i for i, line in enumerate(lines[:first]) if line.strip(_BLANK)]
-    comments = list(itertools.takewhile(lambda i: not _holds_data(lines[i]), reversed(before)))
-    other = before[: len(before) - len(comments)][-1:]  # the line above
-    headers = []  # what may name the columns, and how
-    for delimiter, i in itertools.product(_DELIMITERS, other + comments[:_PREAMBLE]):
-        names = _cells(lines[i].lstrip(b"/# \t"), delimiter)
-        headers += [(delimiter, i, names)] if {"x", "y", "z"} <= set(map(_meaning, names)) else []
-    if first is None:
-        if other and not headers:
-            raise InputError(f"{path}: no line holds three numbers; this is not a text file of points")
-        delimiter, at, names = next((header for header in headers if header[1] in other), (None, None, _UNNAMED[:3]))
-        return Layout(path, delimiter, _columns(path, at, names), len(names), at, len(lines), 0, delimiter or " ")
-    widths = {delimiter: len(_cells(lines[first], delimiter)) for delimiter in _DELIMITERS}
-    fitting = [header for header in headers if len(header[2]) == widths[header[0]]]
-    if headers:
-        delimiter, at, names = fitting[0] if fitting else max(headers, key=lambda header: widths[header[0]])
-    elif other:
-        raise InputError(f"{path}: line {other[0] + 1}, {_shown(lines[other[0]])}, names no columns x, y and z")
-    else:
-        delimiter = next((delimiter for delimiter in (";", ",", None) if widths[delimiter] >= 3), None)
-        at, names = None, _UNNAMED[: widths[delimiter]]
-        if not 3 <= widths[delimiter] <= 4:
-            found = f"{widths[delimiter]} columns without names"
-            raise InputError(f"{path}: {found}; x y z and x y z label are understood, others need a header line")
-    columns = _columns(path, at, names)
-    if at is not None and not fitting:
-        hint = " (if it is a mere comment, take the names out of it)" if at in comments else ""
-        ragged = _ragged(first, lines[first], widths[delimiter], delimiter)
-        raise InputError(f"{path}: line {at + 1} names {len(names)} columns{hint}, {ragged}")
-    rows = [line.split() if delimiter is None else line.split(delimiter.encode()) for line in lines[first:]]
-    cells = [row[columns[axis]] for row in rows if len(row) == len(names) for axis in "xyz"]
-    decimals = max((len(re.match(rb"[^.]*\.?(\d*)", cell)[1]) for cell in cells), default=0)  # type: ignore[index]
-    between = delimiter or ("\t" if b"\t" in lines[first].strip(_BLANK) else " ")
-    return Layout(path, delimiter, columns, len(names), at, first, decimals, between)
+def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = True) -> TextFile:
+    """The points of a text file that are inside bounds.
 
-
-def read_text(
-    layout: Layout, bounds: Bounds | None = None, drop_invalid: bool = True
-) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Runs of coordinates f64[k, 3] in file units and of attributes, named as a PointCloud's fields.
-
-    ``reference`` (True = ground) comes from a column ``label``. Points outside ``bounds`` are left out.
-
-    Raises: InputError naming the line and column of what cannot be read: lines of another width, cells that are not
-    numbers, labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``.
+    Raises: InputError naming the line and column of what cannot be read: lines of another width, cells that are not numbers,
+    labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``; if columns cannot be told.
     """
-    for run in _runs(layout):
-        values, xyz, keep = run.points(bounds)
-        if not drop_invalid:
-            odd = ~np.isfinite(xyz)
-            odd &= (keep | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
-            if odd.any():
-                row, axis = np.argwhere(odd)[0]
-                hint = (
-                    "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
-                )
-                raise InputError(f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
-        attributes = {}
-        for name in _LARGEST.keys() & values.keys():
-            column = values[name][keep]
-            odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
-            if odd.any():
-                place, value = run.place(np.flatnonzero(keep)[odd.argmax()]), column[odd.argmax()]
-                hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
-                raise InputError(f"{place}: {name} {value:g}: whole numbers, {hint}, are needed")
-            if name == "label":
-                attributes["reference"] = column == GROUND
-            else:
-                attributes[name] = column.astype(COLUMNS[name])
-        yield xyz[keep], attributes
+    with reading_errors(path):
+        identity, content = _content(path, CHANGED_IN_READING)
+        lines = _lines(path, content)
+        xyz, columns = lines.points()
+        found = TextFile(path, identity, str(lines), zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns)
+        part = found.within(bounds)
+        odd = ~np.isfinite(xyz)
+        odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
+        if odd.any() and not drop_invalid:
+            row, axis = np.argwhere(odd)[0]
+            hint = "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
+            raise InputError(f"{lines.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
+        return part
 
 
-def rewrite_text(
-    layout: Layout,
-    target: BinaryIO,
-    bounds: Bounds | None,
-    ground: np.ndarray,
-    classes: Callable[[np.ndarray, slice], np.ndarray],
-) -> None:
-    """Write a text file again, with the results in its label column, or else in its class column, or else in a new last
-    column of labels. Other cells, comments and ends of lines stay; what separates cells becomes alike in all lines.
+def kept_text(path: Path) -> TextFile:
+    """All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
+    with reading_errors(path):
+        return _kept_text(path, Identity.of(path))
 
-    ``ground`` is bool[n], and ``classes(old, rows)`` gives the classes of a run of the cloud's points.
-    """
-    with open(layout.path, "rb") as file:
-        target.write(_MARK if file.read(len(_MARK)) == _MARK else b"")
-    replaced = [name for name in ("label", "classification") if name in layout.columns]
-    done = 0
-    for run in _runs(layout):
-        values, xyz, keep = run.points(bounds)
-        rows = slice(done, done := done + int(keep.sum()))
-        cells = run.texts(keep)
-        if "label" in layout.columns or not replaced:
-            column = layout.columns.get("label", layout.width)
-            cells[column : column + 1] = [np.where(ground[rows], GROUND, OBJECT).astype(str).tolist()]
-        if "classification" in layout.columns:
-            new = classes(values["classification"][keep].astype(np.uint8), rows)
-            cells[layout.columns["classification"]] = new.astype(str).tolist()
-        lines, at = list(run.lines), np.array(run.at, np.int64)
-        if layout.header is not None and not replaced and 0 <= (i := layout.header - run.start) < len(lines):
-            body = lines[i].rstrip(b"\r\n")
-            lines[i] = body + layout.between.encode() + b"label" + lines[i][len(body) :]
-        for i in at[~keep].tolist():
-            lines[i] = b""
-        texts = map(layout.between.join, zip(*cells, strict=True))
-        for i, text in zip(at[keep].tolist(), texts, strict=True):
-            lines[i] = text.encode("utf-8", "surrogateescape") + lines[i][len(lines[i].rstrip(b"\r\n")) :]
-        target.writelines(lines)
+
+@functools.lru_cache(1)
+def _kept_text(path: Path, identity: Identity) -> TextFile:
+    """``identity`` is that of the file now."""
+    return open_text(path)
 
 
 def write_table(target: BinaryIO, xyz: np.ndarray, ground: np.ndarray, decimals: int, delimiter: str) -> None:
@@ -196,142 +183,172 @@ def write_table(target: BinaryIO, xyz: np.ndarray, ground: np.ndarray, decimals:
     target.writelines(form % (*point, flag) for point, flag in zip(xyz.tolist(), label.tolist(), strict=True))
 
 
-# lines
-
-
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """Some whole lines of a file, the first of which has the number ``start``, from 0. ``at``: those that hold data, which are
-    ``data`` together."""
+class _Lines:
+    """The lines of a file.
 
-    layout: Layout
-    start: int
-    lines: list[bytes]
-    at: Sequence[int]
+    Attributes:
+        content: all, without a byte order mark, with line feeds alone at their ends. data: those that hold data.
+        delimiter: comma, semicolon, tab, or None for white space. names: of all columns.
+        named: number of the line that names the columns, from 0, or None. first: that of the first line of data.
+    """
+
+    path: Path
+    content: bytes
     data: bytes
+    delimiter: str | None
+    names: list[str]
+    named: int | None
+    first: int
+
+    def __str__(self) -> str:
+        return f"text separated by {_DELIMITERS[self.delimiter]}: {' '.join(self.columns)}"
 
     def place(self, row: int) -> str:
         """The file and the line of a row of the data, for messages."""
-        return f"{self.layout.path}: line {self.start + self.at[row] + 1}"
+        numbered = enumerate(io.BytesIO(self.content))
+        data = (number for number, line in numbered if number >= self.first and _holds_data(line))
+        return f"{self.path}: line {next(itertools.islice(data, row, None)) + 1}"
 
-    def points(self, bounds: Bounds | None) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """The named columns, f64[k] each; coordinates, f64[k, 3]; which are within bounds, bool[k]. Raises: InputError."""
-        values = self.numbers()
-        xyz = np.column_stack([values[axis] for axis in "xyz"])
-        return values, xyz, np.ones(len(xyz), bool) if bounds is None else inside(xyz, bounds)
+    @functools.cached_property
+    def columns(self) -> dict[str, int]:
+        """Position by name of the columns that are understood. Raises: InputError where two have one meaning."""
+        columns: dict[str, int] = {}
+        for i, cell in enumerate(self.names):
+            name = _meaning(cell)
+            if name in columns and self.named is not None:
+                both = f"the columns {self.names[columns[name]]!r} and {cell!r} both name the {name.replace('_', ' ')}"
+                raise InputError(f"{self.path}: line {self.named + 1}: {both}; rename the one that does not count")
+            if name is not None:
+                columns[name] = i
+        return columns
 
-    def numbers(self) -> dict[str, np.ndarray]:
-        """The named columns, f64[k]. Raises InputError with line and name of the first cell that is no number."""
-        columns = self.layout.columns
-        if not self.at:
-            return {name: np.zeros(0) for name in columns}
+    def header(self) -> list[str]:
+        """Names of the columns, as they stand in the file: the first one with the mark of a comment."""
+        line = b"" if self.named is None else self.content.split(b"\n", self.named + 1)[self.named]
+        mark = line[: len(line) - len(line.lstrip(b"/# \t"))].decode().strip()
+        return [mark + self.names[0], *self.names[1:]]
+
+    def points(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Coordinates f64[n, 3] and columns, as of :class:`TextFile`. Raises: InputError."""
+        values, columns = self._numbers(), {}
+        for name, column in ((name, values[name]) for name in _LARGEST if name in values):
+            odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
+            if odd.any():
+                row = int(odd.argmax())
+                hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
+                raise InputError(f"{self.place(row)}: {name} {column[row]:g}: whole numbers, {hint}, are needed")
+            columns[name] = column.astype(COLUMNS.get(name, bool))
+        if "label" in columns:
+            columns["reference"] = ~columns.pop("label")
+        return np.column_stack([values[axis] for axis in "xyz"]), columns
+
+    def _numbers(self) -> dict[str, np.ndarray]:
+        """The columns that are understood, f64[n]. Raises InputError with line and name of the first cell that is no number."""
+        end, n = len(self.names), self.data.count(b"\n")
         self._checked(1)  # a column of the words True and False alone would be numbers to pandas
-        if self.data.translate(None, _PLAIN) or self.data.count(b"\r") > self.data.count(b"\r\n"):
-            self._checked(len(self.at))
-        used = [*columns.values(), self.layout.width]
-        with contextlib.suppress(ValueError):
-            table = self._table(usecols=used, dtype=float, na_values=["nan", "NaN", "NAN"])
-            if len(table) == len(self.at) and (table[self.layout.width] == _END).all():
-                return {name: table[column].to_numpy() for name, column in columns.items()}
-        return self._checked(len(self.at))
+        if not self.data.translate(None, _PLAIN):
+            with contextlib.suppress(ValueError):  # pandas' own errors, too
+                table = self.table([*self.columns.values(), end], dtype=float, na_values=["nan", "NaN", "NAN"])
+                if len(table) == n and (table[end] == _END).all():
+                    return {name: table[column].to_numpy(float) for name, column in self.columns.items()}
+        return self._checked(n)
 
-    def texts(self, keep: np.ndarray) -> list[list[str]]:
-        """Column by column, the cells of some rows, bool[k], with quotes where they need them."""
-        if not keep.any():
-            return [[] for _ in range(self.layout.width)]
-        table = self._table(dtype=object, na_filter=False)[keep]
-        columns = [table[column].tolist() for column in range(self.layout.width)]
-        if b'"' not in self.data:
-            return columns
-        odd = re.compile(r'$|["#]|.*[ \t]' if self.layout.delimiter is None else rf' *["#]|.*{self.layout.delimiter}')
-        return [['"' + c.replace('"', '""') + '"' if odd.match(c) else c for c in column] for column in columns]
-
-    def _table(self, **options: Any) -> Any:
-        """The cells as a table of pandas; behind the last of each line is one more, :data:`_END`, so that none can be missing."""
+    def table(self, columns: Sequence[int], **options: Any) -> Any:
+        """The cells of some columns, as a table of pandas; behind the last one of the file is a column of :data:`_END`."""
         import pandas as pd  # late: it takes half a second, which LAS does not need
 
-        delimiter = self.layout.delimiter
+        if not self.data:
+            return pd.DataFrame(columns=columns)
         old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # these drop the last of many digits
         return pd.read_csv(
-            io.BytesIO(self.data.replace(b"\r\n", b"\n").replace(b"\n", f"{delimiter or ' '}{_END}\n".encode())),
-            sep=r"\s+" if delimiter is None else delimiter,
+            io.BytesIO(self.data.replace(b"\n", f"{self.delimiter or ' '}{_END}\n".encode())),
+            sep=self.delimiter or r"\s+",
             header=None,
             engine="c",
             skipinitialspace=True,
             keep_default_na=False,
             low_memory=False,
+            usecols=columns,
             encoding_errors="surrogateescape",
             float_precision="round_trip" if old else None,
             **options,
         )
 
-    def _checked(self, count: int) -> dict[str, np.ndarray]:
-        """:meth:`numbers` of the first lines of data, one by one."""
-        layout, values = self.layout, {name: np.empty(count) for name in self.layout.columns}
-        for row, number in enumerate(self.at[:count]):
-            line, place = self.lines[number], self.place(row)
-            if odd := re.search(rb"[\x00-\x08\x0a-\x1f]", line.rstrip(b"\r\n")):
-                raise InputError(f"{place} holds the control character 0x{odd[0][0]:02x}; remove it")
+    def _checked(self, most: int) -> dict[str, np.ndarray]:
+        """:meth:`_numbers` of the first lines of data, one by one."""
+        lines = list(itertools.islice(io.BytesIO(self.data), most))
+        values = {name: np.empty(len(lines)) for name in self.columns}
+        for row, line in enumerate(lines):
+            if odd := re.search(rb"[\x00-\x08\x0b-\x1f]", line):
+                raise InputError(f"{self.place(row)} holds the control character 0x{odd[0][0]:02x}; remove it")
             try:
-                cells = _cells(line, layout.delimiter, strict=True)
+                cells = _cells(line, self.delimiter, strict=True)
             except csv.Error as error:
                 hint = "take line breaks out of cells, and put quotes around whole cells only, doubled within them"
-                raise InputError(f"{place} cannot be split ({error}); {hint}") from error
-            if len(cells) != layout.width:
-                model = layout.first if layout.header is None else layout.header
-                ragged = _ragged(self.start + number, line, len(cells), layout.delimiter)
-                raise InputError(f"{layout.path}: line {model + 1} has {layout.width} columns, {ragged}")
-            for name, cell in ((name, cells[column]) for name, column in layout.columns.items()):
+                raise InputError(f"{self.place(row)} cannot be split ({error}); {hint}") from error
+            if len(cells) != len(self.names):
+                model = self.first if self.named is None else self.named
+                raise InputError(
+                    f"{self.place(row)} has {len(cells)} columns, {_shown(line)}, and line {model + 1} has {len(self.names)}: "
+                    "give every line as many, give comments lines of their own and no names of columns, write decimals with a "
+                    f"point, and put quotes around cells that hold {_DELIMITERS[self.delimiter]}"
+                )
+            for name, cell in ((name, cells[column]) for name, column in self.columns.items()):
                 if not _NUMBER.fullmatch(cell):
                     hint = "; write decimals with a point and nothing between thousands" if {*", "} & {*cell} else ""
-                    raise InputError(f"{place}: {name} is {cell!r}, not a number{hint}")
+                    raise InputError(f"{self.place(row)}: {name} is {cell!r}, not a number{hint}")
                 values[name][row] = float(cell)
         return values
 
 
-def _runs(layout: Layout) -> Iterator[Lines]:
-    start = 0
-    with reading_errors(layout.path):
-        for lines in _blocks(layout.path):
-            data, at = b"".join(lines), cast(Sequence[int], range(len(lines)))
-            data += b"" if data.endswith(b"\n") else b"\n"
-            if start < layout.first or data[:1] in b"# \t\r\n" or any(mark in data for mark in _ASIDE):
-                at = [i for i, line in enumerate(lines) if start + i >= layout.first and _holds_data(line)]
-                data = b"".join(lines[i].rstrip(b"\r\n") + b"\n" for i in at)
-            yield Lines(layout, start, lines, at, data)
-            start += len(lines)
+def _content(path: Path, message: str) -> tuple[Identity, bytes]:
+    """All bytes of a file. Raises: InputError with ``message`` if it changes meanwhile; OSError."""
+    with open(path, "rb") as file:  # open, so that no other file gets the same number meanwhile
+        identity = Identity.of(file.fileno())
+        with identity.kept(path, message):
+            return identity, file.read()
 
 
-def _blocks(path: Path) -> Iterator[list[bytes]]:
-    """Runs of whole lines with their endings, without the byte order mark."""
-    passed = 0
-    with open(path, "rb") as file:
-        file.seek(len(_MARK) if file.read(len(_MARK)) == _MARK else 0)
-        while block := file.read(_BLOCK):
-            lines = io.BytesIO(block + file.readline(_LONGEST)).readlines()
-            passed += len(lines)
-            if len(lines[-1]) >= _LONGEST:
-                raise InputError(f"{path}: line {passed} has more than {_LONGEST} bytes; it is no text of points")
-            yield lines
-
-
-def _head(path: Path) -> tuple[list[bytes], int | None]:
-    """The lines up to the first point and some after it, and the number of that line."""
-    lines: list[bytes] = []
+def _lines(path: Path, content: bytes) -> _Lines:
+    """Raises: InputError if the columns cannot be told from the first lines."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: the text is UTF-16; save it as UTF-8")
+    content = content.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head: list[bytes] = []  # the lines before the first point
     first, others = None, 0
-    with reading_errors(path):
-        for line in itertools.chain.from_iterable(_blocks(path)):
-            if not lines and line.startswith((b"\xff\xfe", b"\xfe\xff")):
-                raise InputError(f"{path}: the text is UTF-16; save it as UTF-8")
-            if not lines and b"\r" in line.rstrip(b"\r\n"):
-                raise InputError(f"{path}: its lines end with carriage returns alone; save it with line feeds")
-            lines.append(line)
-            if first is None and _holds_data(line):
-                first = len(lines) - 1 if _is_point(line) else None
-                others += 1
-            if (len(lines) - first > _PROBED) if first is not None else (others > _PREAMBLE):
-                break
-    return lines, first
+    for line in io.BytesIO(content):
+        if _is_point(line):
+            first = line
+            break
+        head.append(line)
+        others += _holds_data(line)
+        if others > _HEAD:
+            break
+    near = [i for i in reversed(range(len(head))) if head[i].strip(_BLANK)]
+    comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))
+    above = near[len(comments) :][:1]  # the last other line
+    headers: list[tuple[str | None, list[str], int | None]] = []  # what may name the columns, and how
+    for delimiter, i in itertools.product(_DELIMITERS, above + comments[:_HEAD]):
+        names = _cells(head[i].lstrip(b"/# \t"), delimiter)
+        headers += [(delimiter, names, i)] if {"x", "y", "z"} <= set(map(_meaning, names)) else []
+    if above and not headers:
+        wrong = f"line {above[0] + 1}, {_shown(head[above[0]])}, names no columns x, y and z"
+        raise InputError(f"{path}: {wrong if first else 'no line holds three numbers'}; this is no text of points")
+    widths = {delimiter: len(_cells(first or b"x y z", delimiter)) for delimiter in _DELIMITERS}
+    if headers:  # that which fits
+        found = max(headers, key=lambda one: (len(one[1]) == widths[one[0]], widths[one[0]]))
+    else:
+        unnamed = next((delimiter for delimiter in (";", ",") if widths[delimiter] >= 3), None)
+        if not 3 <= widths[unnamed] <= 4:
+            wrong = f"{widths[unnamed]} columns without names"
+            raise InputError(f"{path}: {wrong}; x y z and x y z label are understood, others need a header line")
+        found = unnamed, ["x", "y", "z", "label"][: widths[unnamed]], None
+    data = b"" if first is None else content[sum(map(len, head)) :].removesuffix(b"\n") + b"\n"
+    letters = np.frombuffer(data, np.uint8)
+    if np.isin(letters[1:][letters[:-1] == ord("\n")], list(b"# \t\n")).any():  # a line may hold no data
+        data = re.sub(rb"(?m)^[ \t]*(?:#.*)?\n", b"", data)
+    return _Lines(path, content, data, *found, len(head))
 
 
 def _holds_data(line: bytes) -> bool:
@@ -340,26 +357,13 @@ def _holds_data(line: bytes) -> bool:
 
 def _is_point(line: bytes) -> bool:
     """Whether at least three of its columns are numbers, which no line of names has."""
-    return sum(_NUMBER.fullmatch(cell) is not None for cell in re.split(r'[\s,;"]+', line.decode("latin-1"))) >= 3
+    cells = re.split(r'[\s,;"]+', line.decode("latin-1"))
+    return _holds_data(line) and sum(_NUMBER.fullmatch(cell) is not None for cell in cells) >= 3
 
 
-def _ragged(number: int, line: bytes, width: int, delimiter: str | None) -> str:
-    """What to say of a line that has another number of columns than it should."""
-    hints = ["give every line as many"]
-    if b"#" in line:
-        hints.append("give comments lines of their own")
-    if delimiter == ",":
-        hints.append("write decimals with a point")
-    hints.append(f"put quotes around cells that hold {_WORDS[delimiter]}")
-    return f"line {number + 1} has {width}, {_shown(line)}; {', '.join(hints)}"
-
-
-def _shown(cell: bytes) -> str:
+def _shown(line: bytes) -> str:
     """Bytes of a file, for messages."""
-    return repr(cell.strip(_BLANK)[:60].decode("utf-8", "replace"))
-
-
-# names
+    return repr(line.strip()[:60].decode("utf-8", "replace"))
 
 
 def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str]:
@@ -377,16 +381,3 @@ def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str
 
 def _meaning(name: str) -> str | None:
     return _NAMES.get(re.sub(r"[^a-z0-9]", "", name.lower()))
-
-
-def _columns(path: Path, header: int | None, names: list[str]) -> dict[str, int]:
-    """Positions of the columns that are understood. Raises InputError where two have one meaning."""
-    columns: dict[str, int] = {}
-    for i, cell in enumerate(names):
-        name = _meaning(cell)
-        if name in columns and header is not None:
-            both = f"the columns {names[columns[name]]!r} and {cell!r} both name the {name.replace('_', ' ')}"
-            raise InputError(f"{path}: line {header + 1}: {both}; rename the one that does not count")
-        if name is not None:
-            columns[name] = i
-    return columns

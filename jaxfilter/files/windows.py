@@ -13,16 +13,17 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError
-from ..core.reading import Reading, inside
+from ..core.reading import Reading
 from .disk import Bounds, Identity
 from .guard import reading_errors
 from .handles import Handle
 from .header import Header
 from .points import measured
-from .reading import LasFile, TextFile, kept_las, kept_text, open_text
+from .reading import LasFile, kept_las
 from .runs import Runs, nodes
 from .sources import Source
 from .storage import Place
+from .text import TextFile, kept_text, open_text
 
 _FILES = 64  # whose runs a process keeps
 
@@ -88,16 +89,14 @@ def file_cloud(
 
     Raises: InputError if the file has changed since the source was made.
     """
-    place, header = source.place, None
+    handle: Handle | TextFile
     if source.format == "text":
-        file = kept_text(cast(Path, place))
-        _check_identity(source, file)
-        identity = file.identity
+        handle = kept_text(cast(Path, source.place)).within(bounds)
+        _check_identity(source, handle)
     else:
-        header = kept_las(place, tables=True).header
+        header = kept_las(source.place, tables=True).header
         _check_identity(source, header)
-        identity = header.identity
-    handle = Handle(place.absolute(), source.format, len(candidate), bounds, identity, header, rows)
+        handle = Handle(header, len(candidate), bounds, rows)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)
@@ -117,8 +116,8 @@ def _text_window(source: Source, reading: Reading) -> Window:
     _check_identity(source, file)
     if not reading.drop_invalid and not np.isfinite(file.xyz).all():
         open_text(file.path, cut, drop_invalid=False)  # which names the line
-    rows = np.ones(len(file.xyz), bool) if cut is None else inside(file.xyz, cut)
-    return Window(file.part(rows).cloud(reading), np.flatnonzero(rows))
+    part = file.within(cut)
+    return Window(part.cloud(reading), np.flatnonzero(part.rows))
 
 
 def runs_of(file: LasFile, index: Path | None = None) -> Runs:

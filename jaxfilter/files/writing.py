@@ -17,14 +17,16 @@ from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, for_outputs, geokeys
-from . import copc, text
+from . import copc
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
 from .guard import read_header
 from .handles import Handle
 from .header import FLOATS, Header
-from .points import CHUNK, Points, Writer, attributes, put_classes
+from .points import CHUNK, Points, Writer, attributes, coordinates, put_classes
 from .storage import Place, Remote, place_of
+from .text import SUFFIXES as TEXT_SUFFIXES
+from .text import TextFile, write_table
 
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
@@ -152,27 +154,26 @@ def write_cloud(
 ) -> Place:
     """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
     kind = path.suffix.lower()
-    if kind not in LAS_SUFFIXES + text.SUFFIXES:
-        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))
+    if kind not in LAS_SUFFIXES + TEXT_SUFFIXES:
+        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *TEXT_SUFFIXES))
         raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
-    source: Handle | None = cloud.source
+    source: Handle | TextFile | None = cloud.source
     if source is not None and source.points != len(cloud):
         raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
-    if kind in text.SUFFIXES:
+    if kind in TEXT_SUFFIXES:
         if result is None:
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
         named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
-        table = None if source is None or source.header is not None else source.layout()
-        named += [] if table is not None and "classification" in table.columns else asked(classes)
+        named += [] if isinstance(source, TextFile) and "classification" in source.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if (octree := copc.is_copc(path)) and source is not None and source.header is not None:
+    if (octree := copc.is_copc(path)) and isinstance(source, Handle):
         copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
-    again = contextlib.nullcontext() if source is None else source.again()
+    again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again:
-        if kind in text.SUFFIXES:
+        if kind in TEXT_SUFFIXES:
             _write_text(path, temporary, cloud, labels)
         else:
             plain = temporary.with_name("plain.las") if octree else temporary
@@ -227,10 +228,8 @@ class _Labels:
 
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels) -> None:
-    source: Handle | None = cloud.source
-    las = source if source is not None and source.header is not None else None
+    las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
-    assert header is not None
     chunks = _fresh_points(path, header, cloud) if las is None else las.records()
     number = header.point_format
     most = largest(labels.rule)
@@ -307,7 +306,7 @@ def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, by
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     """LAS 1.4, point format 6, without points yet."""
-    decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
+    decimals = cloud.source.decimals if isinstance(cloud.source, TextFile) else 3
     made = laspy.LasHeader(version="1.4", point_format=6)
     made.scales, made.offsets = np.full(3, 10.0**-decimals), np.floor(cloud.origin)
     made.generating_software = "jaxfilter"
@@ -323,46 +322,51 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
 
 def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
     """Points of format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
+    known = {name: values for name in COLUMNS if (values := getattr(cloud, name)) is not None}
+    if isinstance(cloud.source, TextFile):
+        known = cloud.source.columns | known
     done = 0
-    for xyz, columns in _runs(cloud):
+    for xyz in _runs(cloud):
         rows = slice(done, done := done + len(xyz))
-        columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         points = Points.zeros(len(xyz), laspy.PointFormat(header.point_format))
         for axis, ticks in zip("XYZ", _ticks(path, header, xyz).T, strict=True):
             points.array[axis] = ticks
-        for name in COLUMNS:
-            one = name in ("return_number", "number_of_returns")  # where nothing is said: the only echo
-            points[name][:] = columns.get(name, np.full(len(xyz), one))
+        points.return_number = points.number_of_returns = np.ones(
+            len(xyz), np.uint8
+        )  # the only echo, where nothing is said
+        for name in COLUMNS & known.keys():
+            points[name][:] = known[name][rows]
         yield points
 
 
-def _runs(cloud: PointCloud) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The coordinates in file units, f64[k, 3], and columns: of the source file, or else of the cloud."""
-    source: Handle | None = cloud.source
-    if source is not None:
-        yield from source.runs()
+def _runs(cloud: PointCloud) -> Iterator[np.ndarray]:
+    """The coordinates in file units, f64[k, 3]: of the source file, or else of the cloud."""
+    if isinstance(cloud.source, Handle):
+        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(every_field=False))
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)
-        xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-        yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan), {}
+        if isinstance(cloud.source, TextFile):
+            yield cloud.source.xyz[rows]
+        else:
+            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
+            yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan)
 
 
 def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
-    source: Handle | None = cloud.source
-    header = None if source is None else source.header
+    source: Handle | TextFile | None = cloud.source
+    if isinstance(source, TextFile):
+        source.rewrite(temporary, labels.ground, lambda old: labels.classes(old, slice(None)))
+        return
     with open(temporary, "xb") as file:
-        if source is not None and header is None:
-            text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes)
-            return
-        decimals = 3 if header is None else _decimals(header)
+        decimals = 3 if source is None else _decimals(source.header)
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
         done = 0
-        for xyz, _ in _runs(cloud):
+        for xyz in _runs(cloud):
             rows = slice(done, done := done + len(xyz))
-            text.write_table(file, xyz, labels.ground[rows], decimals, delimiter)
+            write_table(file, xyz, labels.ground[rows], decimals, delimiter)
 
 
 def _decimals(header: Header) -> int:

@@ -20,12 +20,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import filelock
 import numpy as np
 
 from ..core.errors import DAMAGED, InputError, OutputError
-from ..files.disk import check_own, empty, entered, open_lock, output_errors, sync, try_lock
+from ..files.disk import check_own, output_errors, sync
 
-RUN, DONE = "run.json", "done.json"
+RUN, DONE, _LOCK = "run.json", "done.json", "lock"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
 NEW = ".jaxfilter-new-"
 """Begins the names of folders of files that are to take the places of inputs."""
@@ -57,19 +58,19 @@ class Store:
 
         Raises: OutputError if another run has it, it cannot be made, or is not of this user's own.
         """
+        check_own(self.path, make=True)
+        lock = filelock.FileLock(self.path / _LOCK, timeout=0)
         with output_errors(self.path):
-            check_own(self.path, make=True)
-            lock = open_lock(self.path, os.O_CREAT)
-        try:
-            if try_lock(lock) is False or not os.fstat(lock).st_nlink:  # the other has removed it with the folder
-                raise OutputError(f"{self.path}: another run is writing into this folder")
             try:
-                yield
-            finally:
-                if not self.begun and not self.done:
-                    self.discard()
+                lock.acquire()
+            except filelock.Timeout as error:
+                raise OutputError(f"{self.path}: another run is writing into this folder") from error
+        try:
+            yield
         finally:
-            os.close(lock)
+            if not self.begun and not self.done:
+                self.discard()
+            lock.release()
 
     @property
     def begun(self) -> bool:
@@ -90,8 +91,13 @@ class Store:
 
     def clear(self) -> None:
         """Remove all but the lock. Raises: OutputError."""
+        check_own(self.path)
         with output_errors(self.path):
-            empty(self.path)
+            for place in self.path.iterdir():
+                if place.is_dir() and not place.is_symlink():
+                    shutil.rmtree(place)
+                elif place.name != _LOCK:
+                    place.unlink()
         self.facts = {}
 
     def drop_index(self) -> None:
@@ -236,17 +242,16 @@ class Store:
         self._write(path, json.dumps({"checksum": zlib.crc32(text.encode()), "holds": value}, indent=1).encode())
 
     def _write(self, path: Path, content: bytes | memoryview) -> None:
-        with output_errors(path), entered(self.path) as at:
+        with output_errors(path):
+            check_own(self.path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            place = path if at is None else path.relative_to(self.path)
-            part = place.with_name(f"{uuid.uuid4().hex}.part")
+            part = path.with_name(f"{uuid.uuid4().hex}.part")
             try:
-                with open(part, "xb", opener=lambda name, flags: os.open(name, flags, 0o600, dir_fd=at)) as file:
+                with open(part, "xb") as file:
                     file.write(content)
-                os.replace(part, place, src_dir_fd=at, dst_dir_fd=at)
+                os.replace(part, path)
             finally:
-                with contextlib.suppress(FileNotFoundError):
-                    os.unlink(part, dir_fd=at)
+                part.unlink(missing_ok=True)
 
 
 def _checked(text: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any
 from ..core.errors import DAMAGED, InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, remove_dead, sync
+from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, sync, warn_of_names
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -79,9 +79,6 @@ class Targets:
                 with contextlib.suppress(OSError):  # it holds something
                     folder.rmdir()
             raise
-        for place in {folder, store.path.parent}:
-            if isinstance(place, Path) and place.is_dir():
-                remove_dead(place)
 
     def check(self, options: RunOptions) -> None:
         """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
@@ -230,6 +227,7 @@ class Targets:
         for entry, place, part in _entries(done):
             with output_errors(place):
                 if part.exists() and isinstance(place, Path):
+                    warn_of_names(place)
                     os.replace(part, os.path.realpath(place))
                 elif part.exists() and isinstance(place, Remote):  # it appears whole, and may be sent twice
                     place.put(part)

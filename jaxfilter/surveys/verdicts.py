@@ -21,7 +21,7 @@ from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
-from ..files.disk import Seal, check_suffix, new_file, remove_dead
+from ..files.disk import Seal, check_suffix, new_file
 from ..files.storage import Remote, place_of
 from ..files.vectors import SUFFIXES
 from ..files.windows import file_cloud
@@ -249,7 +249,6 @@ def apply_survey(
             report = survey.run(VerdictProduct, sites=found, classes=classes)
         if not run.dry_run:
             targets.discard()  # the log tells what is done
-            remove_dead(targets.store.path.parent)
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
             log.add(new)
     report.problems, report.before = problems, len(verdicts) - len(new)
