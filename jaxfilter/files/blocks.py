@@ -36,6 +36,7 @@ NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud
     | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
     | lazrs.SELECTIVE_DECOMPRESS_FLAGS
 )
+SAMPLED = NEEDED | lazrs.SELECTIVE_DECOMPRESS_GPS_TIME
 
 ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
 """Level, x, y, z of a node; where its chunk is; number of points, -1: the entry is of another page."""

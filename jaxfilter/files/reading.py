@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
+from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.inputs import COLUMNS, is_laspy
@@ -172,6 +173,17 @@ class LasFile:
     header: Header
     reference: Reference
 
+    @functools.cached_property
+    def numbering(self) -> Numbering:
+        """How the echoes are numbered, by a sample of all records: it is the same for every part of the file."""
+        try:
+            some = records.sampled_records(self.header)
+        except InputError:  # what is damaged is an error where it is needed
+            return Numbering.SOUND
+        known = records.attributes(some, self.header.point_format)
+        time = records.times(some, self.header.point_format)
+        return numbering(known["return_number"], known["number_of_returns"], records.integers(some)[:, 2], time)
+
     def cloud(
         self,
         reading: Reading,
@@ -226,6 +238,7 @@ class LasFile:
             crs=reference.crs,
             source=Handle(path.absolute(), "las", str(header), n, reading.bounds, identity, tally.checksum),
             reference=is_ground if is_ground.any() else None,
+            numbering=self.numbering if n else Numbering.SOUND,
             **columns,
         )
 
@@ -255,6 +268,7 @@ class TextFile:
     layout: text.Layout
     xyz: np.ndarray
     columns: dict[str, np.ndarray]
+    numbering: Numbering
 
     @property
     def fingerprint(self) -> str:
@@ -281,7 +295,7 @@ class TextFile:
         source = Handle(
             self.path.absolute(), "text", str(self.layout), len(xyz), reading.bounds, self.identity, tally.checksum
         )
-        fields: dict[str, Any] = columns | _fields(reading) | {"units": reading.metres}
+        fields: dict[str, Any] = columns | _fields(reading) | {"units": reading.metres, "numbering": self.numbering}
         return PointCloud.from_arrays(xyz, name=str(self.path), source=source, **fields)
 
 
@@ -294,7 +308,11 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
             parts = list(text.read_text(layout, bounds, drop_invalid))
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in parts)])
     columns = {key: np.concatenate([part[key] for _, part in parts]) for key in (parts[0][1] if parts else ())}
-    return TextFile(path, identity, layout, xyz, columns)
+    if bounds is not None and "return_number" in columns:
+        how = kept_text(path).numbering
+    else:
+        how = numbering(columns.get("return_number"), columns.get("number_of_returns"), xyz[:, 2])
+    return TextFile(path, identity, layout, xyz, columns, how)
 
 
 def kept_text(path: Path) -> TextFile:

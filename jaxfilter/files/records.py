@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shutil
 import struct
 from collections.abc import Iterator
@@ -11,10 +12,11 @@ from typing import Any, BinaryIO
 import lazrs
 import numpy as np
 
+from ..core.echoes import sample
 from ..core.errors import InputError, JaxfilterError
 from ..core.inputs import COLUMNS
 from ..core.process import need_threads
-from .blocks import NEEDED, Blocks, nodes, read_blocks, read_packed, runs, sound
+from .blocks import NEEDED, SAMPLED, Blocks, nodes, read_blocks, read_packed, runs, sound
 from .disk import Bounds
 from .header import Header
 from .storage import Place
@@ -78,6 +80,23 @@ def read_records(
             if not header.is_copc:
                 yield waiting.pop()
     yield from waiting if again is None else read_records(header, bounds, every_field, again)
+
+
+def sampled_records(header: Header) -> np.ndarray:
+    """u8[k, record_length]: the records of :func:`jaxfilter.core.echoes.sample`. Raises: InputError."""
+    with reading_errors(header.path), header.open() as file:
+        found = runs(header, file)
+        points = np.zeros_like(found.points)  # from the beginning of each run
+        for part in sample(header.count):
+            at = slice(np.searchsorted(found.first, part.start, "right") - 1, np.searchsorted(found.first, part.stop))
+            points[at] = np.minimum(found.points[at], part.stop - found.first[at])
+        return read_blocks(header, file, dataclasses.replace(found, points=points)[points > 0], SAMPLED)
+
+
+def times(records: np.ndarray, point_format: int) -> np.ndarray | None:
+    """f64[n], GPS times; None where the point format has none."""
+    at = 22 if point_format >= 6 else 20
+    return None if point_format in (0, 2) else records[:, at : at + 8].copy().view("<f8")[:, 0]
 
 
 def read_chunks(header: Header, blocks: Blocks, packed: np.ndarray) -> Iterator[np.ndarray]:
