@@ -71,3 +71,39 @@ def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are
     runs = sample(3_000_000)
     assert runs[0].start == 0 and runs[-1].stop == 3_000_000 and sum(run.stop - run.start for run in runs) < 2**18
     assert sample(1000) == [slice(0, 1000)]
+
+
+@pytest.fixture
+def buffered(tmp_path):
+    """The folder of three tiles with a buffer of 20 m; which of 5000 echoes each has, and the file that keeps each."""
+    rng = np.random.default_rng(3)
+    xyz = np.round(np.column_stack([rng.uniform(0, 200, (5000, 2)), rng.normal(10, 0.05, 5000)]), 2)
+    xyz[1] = xyz[0] = (100.5, 100.5, 10.0)  # twins that were measured at different times
+    xyz[3], time = xyz[2], np.arange(5000.0)
+    time[3] = time[2]  # twins in all: each file has both
+    rows = [np.flatnonzero((xyz[:, 0] >= low) & (xyz[:, 0] < high)) for low, high in ((0, 80), (40, 140), (100, 200))]
+    keeper, buffer = np.full(5000, -1), np.isin(np.arange(5000), rows[2]) & (xyz[:, 0] < 120)
+    for number, own in enumerate(rows):  # withheld in one file, as some programs mark buffers
+        withheld = (number == 1) & buffer[own]
+        fields = {"gps_time": time[own], "classification": 2, "withheld": withheld, "point_source_id": 7}
+        name, scales = f"{'abc'[number]}.{'laz' if number else 'las'}", (0.01, 0.001, 0.0001)[number]
+        (tmp_path / "in").mkdir(exist_ok=True)
+        las_of(tmp_path / "in" / name, xyz[own], (1, 6, 7)[number], scales=scales, crs=32632, **fields)
+        keeper[own[(keeper[own] < 0) & ~withheld]] = number
+    return tmp_path / "in", rows, keeper
+
+
+@pytest.mark.parametrize("tile", [None, 30.0])
+def test_the_same_echo_in_several_files_counts_once(tmp_path, buffered, tile):
+    folder, rows, keeper = buffered
+    run = {"workers": 1, "tile": tile, "wide_halos": True}
+    jf.products(folder, tmp_path / "made", (2,), only=["count", "density"], cell=5.0, run=jf.RunOptions(**run))
+    assert jf.Raster.read(tmp_path / "made" / "count.tif").values.sum() == 5000
+    for name, make in (("g", jf.ground), ("h", jf.heights)):
+        for drop in (False, True):
+            out, reading = tmp_path / f"{name}{drop}", jf.Reading(drop_duplicates=drop)
+            ground = (jf.SMRF(),) if make is jf.ground else ()
+            make(folder, out, *ground, reading=reading, run=jf.RunOptions(**run))
+            for number, file in enumerate(sorted(out.glob("*.la[sz]"))):
+                kept = rows[number][keeper[rows[number]] == number] if drop else rows[number]
+                assert laspy.read(file).gps_time.tolist() == np.where(kept == 3, 2, kept).tolist()

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
-_OF_FILES = ("bounds", "aoi")  # fields of Reading that say which points of a file are read
+_OF_FILES = ("bounds", "aoi", "drop_duplicates")  # fields of Reading that say which points of a file are read
 
 
 def read(

@@ -23,6 +23,8 @@ from .storage import Place
 
 CHUNK = 1_000_000
 """Points that are held at a time. LAZ is written in pieces of this size as well."""
+_SAME = 1e-5
+"""Units, to which coordinates are rounded before they are compared."""
 
 _FAULTS: tuple[tuple[Any, str], ...] = (
     (FileNotFoundError, "no such file"),
@@ -97,6 +99,23 @@ def times(records: np.ndarray, point_format: int) -> np.ndarray | None:
     """f64[n], GPS times; None where the point format has none."""
     at = 22 if point_format >= 6 else 20
     return None if point_format in (0, 2) else records[:, at : at + 8].copy().view("<f8")[:, 0]
+
+
+def echo_keys(records: np.ndarray, header: Header) -> np.ndarray:
+    """u64[n], a hash of X, Y, Z (to 0.01 mm of a unit in metres), GPS time, return number and point source of each point, whose
+    scales and offsets do not count. Different echoes have one hash in a case of 2**64."""
+    point_format = header.point_format
+    time = times(records, point_format)
+    at = 20 if point_format >= 6 else 18
+    source = records[:, at : at + 2].copy().view("<u2")[:, 0]
+    columns = list(np.rint(coordinates(records, header) / _SAME).astype(np.int64).T)
+    columns += [] if time is None else [time.view(np.int64)]
+    columns += [get(records, point_format, "return_number").astype(np.int64) << 16 | source]
+    key = np.zeros(len(records), np.uint64)
+    for column in columns:
+        key = (key ^ column.view(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+        key ^= key >> np.uint64(32)
+    return key
 
 
 def read_chunks(header: Header, blocks: Blocks, packed: np.ndarray) -> Iterator[np.ndarray]:

@@ -20,7 +20,7 @@ from .disk import Bounds, Identity
 from .handles import Handle
 from .header import Header
 from .reading import LasFile, TextFile, kept_text, open_las, open_text
-from .records import coordinates, inside, read_records, reading_errors
+from .records import coordinates, echo_keys, inside, read_records, reading_errors
 from .sources import Source
 from .storage import Place, Remote
 
@@ -35,10 +35,13 @@ class Window:
         cloud: n points, in the order of the file.
         record: i64[n], their record numbers in the file, counted from 0; the row that each has in ``jaxfilter.read`` of
             the whole file.
+        key: u64[n] that echoes in other files share if they are the same, see :func:`jaxfilter.files.records.echo_keys`; None
+            where it was not asked for, and of text.
     """
 
     cloud: PointCloud
     record: np.ndarray
+    key: np.ndarray | None = None
 
 
 def read_window(
@@ -46,6 +49,7 @@ def read_window(
     box: Bounds | None = None,
     index: Path | None = None,
     reading: Reading = Reading(),  # noqa: B008
+    keys: bool = False,
 ) -> Window:
     """The points with xmin <= x < xmax and ymin <= y < ymax, as ``jaxfilter.read(..., bounds=box)`` gives them.
 
@@ -62,6 +66,7 @@ def read_window(
             only here and for files on a disk: the points of a file that is changed meanwhile are refused, even if its size
             and time are what they were.
         reading: which points are candidates, and the anchor of grids; the units are those of the source.
+        keys: read what tells echoes from one another as well.
 
     Returns: Window; a cloud of no points where there are none.
     Raises: InputError naming the file, if it is gone, damaged, or has changed since ``source`` was made.
@@ -79,18 +84,20 @@ def read_window(
         blocks = blocks_of(place, identity, index, make=not whole)
         if blocks is None:
             file = open_las(place)
-    numbers = [np.zeros(0, np.int64)]
+    numbers, hashes = [np.zeros(0, np.int64)], [np.zeros(0, np.uint64)]
 
     def chunks() -> Iterator[np.ndarray]:
-        for records, record in _numbered(file.header, cut, blocks):
+        for records, record in _numbered(file.header, cut, blocks, keys):
             numbers.append(record)
+            if keys:
+                hashes.append(echo_keys(records, file.header))
             yield records
 
     most = None  # also of COPC, whose octree is not believed if points lie outside of it
     if blocks is not None and cut is not None and not file.header.is_copc:
         most = int(blocks.meeting(cut).points.sum())
     cloud = file.cloud(reading, chunks=chunks(), most=most)
-    return Window(cloud, np.concatenate(numbers))
+    return Window(cloud, np.concatenate(numbers), np.concatenate(hashes) if keys else None)
 
 
 def file_cloud(
@@ -143,13 +150,15 @@ def _text_window(source: Source, reading: Reading) -> Window:
     return Window(file.part(rows).cloud(reading), np.flatnonzero(rows))
 
 
-def _numbered(header: Header, cut: Bounds | None, blocks: Blocks | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _numbered(
+    header: Header, cut: Bounds | None, blocks: Blocks | None, every_field: bool
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Records inside a cut, u8[k, record_length], and their numbers in the file, i64[k]: out of some runs, or of all the file."""
     if blocks is not None:
-        yield from read_records(header, cut, False, blocks)
+        yield from read_records(header, cut, every_field, blocks)
         return
     ends = np.zeros((0, 2))
-    for chunk, record in read_records(header, every_field=False):
+    for chunk, record in read_records(header, every_field=every_field):
         xy = coordinates(chunk, header, 2)
         ends = np.concatenate([ends, [xy.min(axis=0), xy.max(axis=0)]])
         kept = np.ones(len(chunk), bool) if cut is None else inside(xy, cut)

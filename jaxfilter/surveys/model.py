@@ -240,7 +240,7 @@ def make_rasters(
         raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
-    survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None), run)
+    survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
     return survey.run(
         RasterProduct,
         data=collection.bounds,

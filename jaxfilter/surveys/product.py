@@ -123,17 +123,17 @@ class Product:
         Raises: InputError if a point has no label.
         """
         source, index, reading = task.source, self.store.index, self.reading
-        label, quantities, checksum = gathered(self.store, task, kinds)
+        label, quantities, checksum, repeated = gathered(self.store, task, kinds)
         rows = label > 0
-        if reading.bounds is not None or reading.aoi is not None:
-            label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
-        elif missing := int(np.count_nonzero(~rows)):
+        missing = int(np.count_nonzero(~rows)) - repeated
+        if missing and reading.bounds is None and reading.aoi is None:
             raise InputError(
                 f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile "
                 "holds them: correct the header"
             )
+        label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
         candidate = (label & CANDIDATE) > 0
-        if reading.aoi is None:
+        if reading.aoi is None and not repeated:
             cloud = file_cloud(source, candidate, index, bounds=reading.bounds, checksum=checksum)
         else:  # the checksum is of all points
             cloud = file_cloud(source, candidate, index, rows=rows)
@@ -193,7 +193,7 @@ def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -
 
     ``found``: of all points of the tile; ``quantities``: f[k], of those of the core.
     """
-    arrays: dict[str, np.ndarray] = {}
+    arrays = {f"repeated_{one}": np.array(count) for one, count in around.repeated.items()}
     own = around.own
     label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | found.ground[own] * np.uint8(GROUND)
     label |= found.code[own] << np.uint8(_CODE)
@@ -216,14 +216,15 @@ def found_in(label: np.ndarray) -> Found:
 
 def gathered(
     store: Store, task: FileTask, kinds: Mapping[str, type]
-) -> tuple[np.ndarray, dict[str, np.ndarray], int | None]:
-    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and the checksum of the points, if
-    they were read in one piece."""
-    checksum = -1
+) -> tuple[np.ndarray, dict[str, np.ndarray], int | None, int]:
+    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; the checksum of the points, if they
+    were read in one piece; and how many of them are left out, since they are in other files."""
+    checksum, repeated = -1, 0
     label = np.zeros(task.source.count, np.uint8)
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = store.arrays(number)
+        repeated += int(stored.get(f"repeated_{task.number}", 0))
         if f"record_{task.number}" not in stored:
             continue
         checksum = int(stored[f"checksum_{task.number}"])
@@ -232,4 +233,4 @@ def gathered(
         label[rows] = found | np.uint8(_STORED)
         for name, values in quantities.items():
             values[rows] = stored[f"{name}_{task.number}"]
-    return label, quantities, None if checksum < 0 else checksum
+    return label, quantities, None if checksum < 0 else checksum, repeated

@@ -22,6 +22,10 @@ from ..files.sources import Source
 from ..files.windows import read_window
 from .area import within
 from .collection import common
+from .findings import Footprints
+
+_LEAST = 1e-9
+"""Share of the smaller of two files from which on they overlap."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +57,7 @@ class Around:
         core: bool[n], points that the tile labels.
         left_out: files that could not be read: number, and reason.
         checksums: of the coordinates of files that were read in one piece.
+        repeated: how many points of the core were left out of each file, since another file has the same echoes.
     """
 
     cloud: PointCloud
@@ -61,6 +66,7 @@ class Around:
     core: np.ndarray
     left_out: dict[int, str]
     checksums: dict[int, int]
+    repeated: dict[int, int]
 
     @property
     def own(self) -> np.ndarray:
@@ -90,6 +96,7 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
 
 def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    keys, shared = [np.zeros(0, np.uint64)], _shared(tile) if reading.drop_duplicates else {}
     left_out: dict[int, str] = {}
     checksums: dict[int, int] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
@@ -97,18 +104,19 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             continue
         try:
-            window = read_window(source, box, index, reading)
+            window = read_window(source, box, index, reading, number in shared)
         except InputError as error:
             if not tile.patient:
                 raise
             left_out[number] = str(error)
             continue
-        cloud, record = window.cloud, window.record
+        cloud, record, key = window.cloud, window.record, window.key
+        key = np.zeros(len(cloud), np.uint64) if key is None else np.where(_in_any(cloud, shared[number]), key, 0)
         if tile.window is None and cloud.source.checksum is not None:
             checksums[number] = cloud.source.checksum
         there = inside(cloud, tile.window)
         if not there.all():
-            cloud, record = part_of(cloud, there), record[there]
+            cloud, record, key = part_of(cloud, there), record[there], key[there]
         if len(cloud):
             clouds.append(cloud)
             own = inside(cloud, tile.core)
@@ -117,9 +125,50 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             cores.append(own)
             numbers.append(number)
             records.append(record)
+            keys.append(key)
     file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
     cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
-    return Around(cloud, file, record, core, left_out, checksums)
+    again, repeated = _again(cloud, file, np.concatenate(keys)) if shared else None, {}
+    if again is not None and again.any():
+        repeated = {number: int((again & core & (file == number)).sum()) for number in numbers}
+        cloud, file, record, core = part_of(cloud, ~again), file[~again], record[~again], core[~again]
+    return Around(cloud, file, record, core, left_out, checksums, repeated)
+
+
+def _shared(tile: Tile) -> dict[int, list[Bounds]]:
+    """The files of a tile that overlap with others, and the bounds of these. Text has nothing but coordinates to compare."""
+    some = [row for row, source in enumerate(tile.sources) if source.format != "text"]
+    bounds = np.array([tile.sources[row].bounds for row in some]).reshape(-1, 4)
+    found: dict[int, list[Bounds]] = {}
+    for one, other in Footprints(bounds).overlaps(_LEAST)[0].tolist() if len(some) > 1 else []:
+        for a, b in ((some[one], some[other]), (some[other], some[one])):
+            found.setdefault(tile.files[a], []).append(tile.sources[b].bounds)
+    return found
+
+
+def _in_any(cloud: PointCloud, boxes: Sequence[Bounds]) -> np.ndarray:
+    """bool[n]: points in one of the closed boxes, file coordinates."""
+    slack = 4 * QUANTUM / cloud.units.xy
+    wide = ((x0 - slack, y0 - slack, x1 + slack, y1 + slack) for x0, y0, x1, y1 in boxes)
+    return np.logical_or.reduce([inside(cloud, box) for box in wide])
+
+
+def _again(cloud: PointCloud, file: np.ndarray, key: np.ndarray) -> np.ndarray:
+    """bool[n]: echoes that another file has as well, but in one file, the first in which they are not withheld.
+
+    ``file``: i32[n]; ``key``: u64[n], 0 = there is none. Points count as the same only if their coordinates are equal, too, so
+    different ones are taken for the same in one of 2**64 cases of two at one place.
+    """
+    ordered = np.sort(key[key > 0])
+    rows = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
+    withheld = np.zeros(len(rows), bool) if cloud.withheld is None else cloud.withheld[rows]
+    rows = rows[np.lexsort((file[rows], withheld, *cloud.xyz[rows].T, key[rows]))]
+    new = np.append(True, (np.diff(key[rows]) != 0) | (np.diff(cloud.xyz[rows], axis=0) != 0).any(axis=1))[: len(rows)]
+    start = np.flatnonzero(new)
+    first = np.repeat(file[rows[start]], np.diff(np.append(start, len(rows))))
+    again = np.zeros(len(cloud), bool)
+    again[rows] = file[rows] != first
+    return again
 
 
 def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:
