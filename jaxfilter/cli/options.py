@@ -96,7 +96,9 @@ BREAKLINES = option(
 )
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
-_OF_GROUND = "Class of the ground points, without --filter."
+_OF_GROUND = (
+    "Class of the ground points, without --filter. With 40, the bed of waters, terrain models have no level of water."
+)
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
 GROUND = [*FILTER, CLASSES, *STATED, AOI]
 """What is ground."""

@@ -21,7 +21,7 @@ from ..files.vectors import write_features
 from ..terrain.contours import Contours, contour_tables
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
-from ..terrain.levels import water_of
+from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
@@ -107,7 +107,7 @@ class RasterProduct(GroundNeeded):
                 arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
             arrays |= kept_water(around.cloud, water, tile)
-            if water is not None or self.water.known:
+            if self.interpolation.level_water and (water is not None or self.water.known):
                 made_of = {part for layer in _cells(self.layers) if Dtm() in layer.parts for part in layer.parts}
                 arrays |= {_WIDE + part.NAME: site.of(part) for part in made_of}
             summary.seconds["interpolate"] += time.perf_counter() - start
@@ -153,7 +153,7 @@ class RasterProduct(GroundNeeded):
 
     def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
-        levels, units = report.water, collection.units
+        levels, units = report.water if self.interpolation.level_water else None, collection.units
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
         def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
@@ -197,7 +197,8 @@ def terrain_model(
         what: as in :func:`jaxfilter.ground`.
         target: .tif or .tiff; may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``), where the file appears whole or
             not at all; then the hidden folder lies in ``run.work``.
-        ground: what is ground, as in :func:`jaxfilter.heights`.
+        ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is
+            level.
         cell: side of a cell; its edges are whole multiples of it, all in file units.
         interpolation: as in :func:`jaxfilter.dtm`, see :class:`Interpolation`.
         reading: as in :func:`jaxfilter.ground`; its ``bounds`` are those of the raster, and points around them take part.
@@ -234,6 +235,8 @@ def make_rasters(
     for layer, place in outputs.items():
         check_suffix(place, layer.SUFFIXES)
     recipe, classes = source_of_ground(ground)
+    if BED in (classes or ()):
+        interpolation = dataclasses.replace(interpolation, level_water=False)
     collection, reading = open_files(what, reading, clip=False)
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
     if bounds is None and not collection.count:
@@ -249,5 +252,5 @@ def make_rasters(
         grid=grid,
         layers=layers,
         interpolation=interpolation,
-        water=water if interpolation.level_water else WaterWanted(False),
+        water=water if interpolation.level_water or water.path is not None else WaterWanted(False),
     )
