@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Iterator, Mapping
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.grid import MAX_CELLS
 from ..core.reading import Reading
 from ..files.disk import Bounds, check_suffix
@@ -25,7 +26,7 @@ from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
-from .collection import Collection
+from .collection import Collection, common
 from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
@@ -126,12 +127,15 @@ class RasterProduct(GroundNeeded):
         return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
+        """Write the rasters, and lines. Raises: InputError if no point is ground, or if one has no value; OutputError."""
         assert isinstance(report, TerrainReport)
         if collection.count and not report.ground:
             more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
-            self.store.discard()
-            raise InputError(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
+            raise self._nothing(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
+        x0, y0, x1, y1 = common(self.grid.bounds, self.data)
+        if (x0 > x1 or y0 > y1) and not self.interpolation.fill:
+            box, data = (", ".join(f"{v:.10g}" for v in one) for one in (self.grid.bounds, self.data))
+            raise self._nothing(f"{collection.name}: no point is in bounds {box}: pass other bounds= within {data}")
         grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
         list_water(self, report, collection, self.water, replace)
         report.rows, report.columns, report.transform = *grid.shape, grid.transform
@@ -146,7 +150,13 @@ class RasterProduct(GroundNeeded):
                     model = self.store.path / "model.tif"
                     known.append(self._write(layer.cells, model, report, collection, True))
                 tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
-                write_features(places[layer], tables, layer.NAME, overwrite=replace)
+                if not len(first := next(tables)):
+                    level = f"no height is a multiple of interval={layer.interval:g}"
+                    said = f"{collection.name}: there is no contour line: {level}: pass a smaller interval="
+                    if len(self.layers) == 1:
+                        raise self._nothing(said)
+                    warn(said)
+                write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
@@ -170,7 +180,27 @@ class RasterProduct(GroundNeeded):
                     values = np.where(within(self.reading.aoi, *np.meshgrid(*own.centres())), made, values)
                 yield own, values
 
-        return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
+        def check(known: int) -> None:
+            if known:
+                return
+            gap = getattr(layer, "gap", self.interpolation.max_gap)
+            name = "gap" if hasattr(layer, "gap") else "max_gap"
+            why = (
+                "the ground points span no triangle over the middle of a cell: pass a smaller cell=, or pass fill=True"
+            )
+            if gap is not None:
+                why = f"no point is near enough for {name}={gap:g}: pass a larger {name}="
+            if report.set_aside:
+                why = report.set_aside[0]["reason"]
+            raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
+
+        crs, kind, nodata = collection.crs, layer.KIND, layer.NODATA
+        return write_mosaic(place, self.grid, crs, kind, nodata, parts, overwrite=replace, check=check)
+
+    def _nothing(self, why: str) -> InputError:
+        """The error of a product without values, which leaves nothing to go on with."""
+        self.store.discard()
+        return InputError(why)
 
 
 def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
