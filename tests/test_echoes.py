@@ -67,7 +67,8 @@ def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are
     z = np.round(xyz[:, 2], 1)
     for order in (np.argsort(z, kind="stable"), np.argsort(-z, kind="stable"), np.lexsort((z, number)), np.arange(10)):
         for times in (time[order], None):
-            assert numbering(number[order], total[order], z[order], times) is Numbering.SOUND
+            columns = {"return_number": number[order], "number_of_returns": total[order]}
+            assert numbering(columns, z[order], times) is Numbering.SOUND
     runs = sample(3_000_000)
     assert runs[0].start == 0 and runs[-1].stop == 3_000_000 and sum(run.stop - run.start for run in runs) < 2**18
     assert sample(1000) == [slice(0, 1000)]

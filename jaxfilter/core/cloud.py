@@ -250,9 +250,8 @@ class PointCloud:
                 attributes[key] = as_column(key, value, name, len(local))
             elif key not in (*arrays, "crs", "source", "whole"):
                 raise InputError(f"{name}: {key}= is no attribute of points; there are {', '.join(arrays)} and crs")
-        number, total = (attributes.get(key) for key in ("return_number", "number_of_returns"))
-        how = numbering(number, total, local[:, 2]) if numbered is None else numbered
-        attributes["return_number"] = renumbered(number, total, how, name)
+        how = numbering(attributes, local[:, 2]) if numbered is None else numbered
+        attributes["return_number"] = renumbered(attributes, how, name)
         candidate = attributes.pop("candidate", None)
         cloud = cls(origin, local, units=units, anchor=np.array(reading.anchor), valid=valid, **attributes)
         if candidate is None:

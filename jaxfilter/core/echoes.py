@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -39,19 +41,18 @@ def sample(n: int) -> list[slice]:
     return [slice(start, n if start == last else start + _RUN) for start in starts.tolist()]
 
 
-def numbering(
-    number: np.ndarray | None, total: np.ndarray | None, z: np.ndarray, time: np.ndarray | None = None
-) -> Numbering:
+def numbering(columns: Mapping[str, Any], z: np.ndarray, time: np.ndarray | None = None) -> Numbering:
     """How the echoes of n points are numbered, by a :func:`sample` of them.
 
     Args:
-        number, total: u8[n], return numbers and numbers of returns, or None. z: [n], heights in any unit.
+        columns: ``return_number`` and ``number_of_returns``, u8[n], if they are known. z: [n], heights in any unit.
         time: f64[n], GPS times, which echoes of one pulse share; None = they follow one another.
     """
+    number, total = columns.get("return_number"), columns.get("number_of_returns")
     if number is None or total is None or not len(number):
         return Numbering.SOUND
     rows = np.concatenate([np.arange(run.start, run.stop) for run in sample(len(number))])
-    number, total, z = number[rows], total[rows], z[rows]
+    number, total, z = number[rows], total[rows], np.asarray(z)[rows]
     counted, several, how = total > 0, total > 1, Numbering.SOUND
     if not (number.any() or counted.any()):
         return Numbering.EMPTY
@@ -59,7 +60,7 @@ def numbering(
         number, how = number + counted, Numbering.FROM_ZERO
     if several.sum() >= _ENOUGH and (number >= total)[several].mean() <= _FEW:
         return Numbering.UNFILLED
-    return Numbering.REVERSED if _rises(number, total, z, None if time is None else time[rows]) else how
+    return Numbering.REVERSED if _rises(number, total, z, None if time is None else np.asarray(time)[rows]) else how
 
 
 def _rises(number: np.ndarray, total: np.ndarray, z: np.ndarray, time: np.ndarray | None) -> bool:
@@ -85,12 +86,15 @@ def _rising(number: np.ndarray, total: np.ndarray, z: np.ndarray, one_pulse: np.
     return (step * rise > 0)[pair]
 
 
-def renumbered(number: np.ndarray | None, total: np.ndarray | None, how: Numbering, name: str) -> np.ndarray | None:
+def renumbered(columns: Mapping[str, Any], how: Numbering, name: str) -> np.ndarray | None:
     """Return numbers u8[n] as the format wants them, None where they say nothing. Warns: of what is done to them."""
-    if how is Numbering.SOUND or number is None or total is None or not len(number):
+    number: np.ndarray | None = columns.get("return_number")
+    if how is Numbering.SOUND or number is None or not len(number):
         return number
     warn(f"{name}: {how.value}")
-    return np.where(number < total, number + np.uint8(1), number) if how is Numbering.FROM_ZERO else None
+    if how is Numbering.FROM_ZERO:
+        return number + (number < columns["number_of_returns"])
+    return None
 
 
 def echo_mask(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .echoes import Numbering, numbering
+from .echoes import numbering
 from .errors import InputError
 from .units import STATED, Stated, Units, linear_units, not_metric, reference_of, sampled
 
@@ -116,7 +116,7 @@ def laspy_parts(
             raise InputError(f"{name}: {reason}")
     there = set(las.point_format.dimension_names)
     columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
-    how = _numbering_of(columns, ticks[:, 2], las["gps_time"] if "gps_time" in there else None)
+    how = numbering(columns, ticks[:, 2], las["gps_time"] if "gps_time" in there else None)
     more = {"crs": reference.crs, "reference": _ground_of(columns), "numbering": how}
     return scale, (ticks, scales, offsets), columns | more
 
@@ -139,14 +139,8 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
     n = len(axes[0])
     columns = {field: as_column(field, get(field), name, n) for field in COLUMNS if _plain(field) in named}
     time = numbers(get("gps_time"), f"{name}: gps_time") if "gpstime" in named else None
-    how = _numbering_of(columns, axes[2], time)
+    how = numbering(columns, axes[2], time)
     return {"xyz": np.ma.stack(axes, axis=1), **columns, "reference": _ground_of(columns), "numbering": how}
-
-
-def _numbering_of(columns: dict[str, Any], z: Any, time: Any) -> Numbering:
-    """How echoes are numbered; ``z``: [n], ``time``: [n] or None."""
-    time = None if time is None else np.asarray(time)
-    return numbering(columns.get("return_number"), columns.get("number_of_returns"), np.asarray(z), time)
 
 
 def _ground_of(columns: dict[str, np.ndarray]) -> np.ndarray | None:

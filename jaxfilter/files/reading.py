@@ -180,9 +180,8 @@ class LasFile:
             some = records.sampled_records(self.header)
         except InputError:  # what is damaged is an error where it is needed
             return Numbering.SOUND
-        known = records.attributes(some, self.header.point_format)
-        time = records.times(some, self.header.point_format)
-        return numbering(known["return_number"], known["number_of_returns"], records.integers(some)[:, 2], time)
+        kind = self.header.point_format
+        return numbering(records.attributes(some, kind), records.integers(some)[:, 2], records.times(some, kind))
 
     def cloud(
         self,
@@ -311,7 +310,7 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
     if bounds is not None and "return_number" in columns:
         how = kept_text(path).numbering
     else:
-        how = numbering(columns.get("return_number"), columns.get("number_of_returns"), xyz[:, 2])
+        how = numbering(columns, xyz[:, 2])
     return TextFile(path, identity, layout, xyz, columns, how)
 
 

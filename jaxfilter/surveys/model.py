@@ -129,7 +129,7 @@ class RasterProduct(GroundNeeded):
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Write the rasters, and lines. Raises: InputError if no point is ground, or if one has no value; OutputError."""
         assert isinstance(report, TerrainReport)
-        if collection.count and not report.ground:
+        if not report.ground:
             more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
             raise self._nothing(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
         x0, y0, x1, y1 = common(self.grid.bounds, self.data)
@@ -183,13 +183,8 @@ class RasterProduct(GroundNeeded):
         def check(known: int) -> None:
             if known:
                 return
-            gap = getattr(layer, "gap", self.interpolation.max_gap)
-            name = "gap" if hasattr(layer, "gap") else "max_gap"
-            why = (
-                "the ground points span no triangle over the middle of a cell: pass a smaller cell=, or pass fill=True"
-            )
-            if gap is not None:
-                why = f"no point is near enough for {name}={gap:g}: pass a larger {name}="
+            gap = "gap=" if hasattr(layer, "gap") else "max_gap="
+            why = f"too few points are near the middle of one: pass a larger {gap}, or pass a smaller cell="
             if report.set_aside:
                 why = report.set_aside[0]["reason"]
             raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
@@ -227,8 +222,7 @@ def terrain_model(
         what: as in :func:`jaxfilter.ground`.
         target: .tif or .tiff; may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``), where the file appears whole or
             not at all; then the hidden folder lies in ``run.work``.
-        ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is
-            level.
+        ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is level.
         cell: side of a cell; its edges are whole multiples of it, all in file units.
         interpolation: as in :func:`jaxfilter.dtm`, see :class:`Interpolation`.
         reading: as in :func:`jaxfilter.ground`; its ``bounds`` are those of the raster, and points around them take part.
@@ -269,8 +263,8 @@ def make_rasters(
         interpolation = dataclasses.replace(interpolation, level_water=False)
     collection, reading = open_files(what, reading, clip=False)
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
-    if bounds is None and not collection.count:
-        raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
+    if not collection.count:
+        raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)

@@ -96,7 +96,7 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
 
 def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-    keys, shared = [np.zeros(0, np.uint64)], _shared(tile) if reading.drop_duplicates else {}
+    keys, shared = [np.zeros(0, np.uint64)], _overlapping(tile) if reading.drop_duplicates else set()
     left_out: dict[int, str] = {}
     checksums: dict[int, int] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
@@ -110,13 +110,13 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
                 raise
             left_out[number] = str(error)
             continue
-        cloud, record, key = window.cloud, window.record, window.key
-        key = np.zeros(len(cloud), np.uint64) if key is None else np.where(_in_any(cloud, shared[number]), key, 0)
+        cloud, record = window.cloud, window.record
+        key = np.zeros(len(cloud) if shared else 0, np.uint64) if window.key is None else window.key
         if tile.window is None and cloud.source.checksum is not None:
             checksums[number] = cloud.source.checksum
         there = inside(cloud, tile.window)
         if not there.all():
-            cloud, record, key = part_of(cloud, there), record[there], key[there]
+            cloud, record, key = part_of(cloud, there), record[there], key[there] if shared else key
         if len(cloud):
             clouds.append(cloud)
             own = inside(cloud, tile.core)
@@ -135,22 +135,11 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
     return Around(cloud, file, record, core, left_out, checksums, repeated)
 
 
-def _shared(tile: Tile) -> dict[int, list[Bounds]]:
-    """The files of a tile that overlap with others, and the bounds of these. Text has nothing but coordinates to compare."""
-    some = [row for row, source in enumerate(tile.sources) if source.format != "text"]
-    bounds = np.array([tile.sources[row].bounds for row in some]).reshape(-1, 4)
-    found: dict[int, list[Bounds]] = {}
-    for one, other in Footprints(bounds).overlaps(_LEAST)[0].tolist() if len(some) > 1 else []:
-        for a, b in ((some[one], some[other]), (some[other], some[one])):
-            found.setdefault(tile.files[a], []).append(tile.sources[b].bounds)
-    return found
-
-
-def _in_any(cloud: PointCloud, boxes: Sequence[Bounds]) -> np.ndarray:
-    """bool[n]: points in one of the closed boxes, file coordinates."""
-    slack = 4 * QUANTUM / cloud.units.xy
-    wide = ((x0 - slack, y0 - slack, x1 + slack, y1 + slack) for x0, y0, x1, y1 in boxes)
-    return np.logical_or.reduce([inside(cloud, box) for box in wide])
+def _overlapping(tile: Tile) -> set[int]:
+    """The files of a tile that overlap with others. Text is left out, since it has nothing but coordinates to compare."""
+    rows = [row for row, source in enumerate(tile.sources) if source.format != "text"]
+    pairs, _ = Footprints(np.array([tile.sources[row].bounds for row in rows]).reshape(-1, 4)).overlaps(_LEAST)
+    return {tile.files[rows[row]] for row in pairs.ravel().tolist()}
 
 
 def _again(cloud: PointCloud, file: np.ndarray, key: np.ndarray) -> np.ndarray:
@@ -161,13 +150,13 @@ def _again(cloud: PointCloud, file: np.ndarray, key: np.ndarray) -> np.ndarray:
     """
     ordered = np.sort(key[key > 0])
     rows = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
-    withheld = np.zeros(len(rows), bool) if cloud.withheld is None else cloud.withheld[rows]
-    rows = rows[np.lexsort((file[rows], withheld, *cloud.xyz[rows].T, key[rows]))]
-    new = np.append(True, (np.diff(key[rows]) != 0) | (np.diff(cloud.xyz[rows], axis=0) != 0).any(axis=1))[: len(rows)]
-    start = np.flatnonzero(new)
-    first = np.repeat(file[rows[start]], np.diff(np.append(start, len(rows))))
+    _, start, group = np.unique(key[rows], return_index=True, return_inverse=True)
+    rank = file[rows] + (0 if cloud.withheld is None else cloud.withheld[rows]) * np.int64(2**31)
+    first = np.full(len(start), 2**62)
+    np.minimum.at(first, group, rank)
+    equal = (cloud.xyz[rows] == cloud.xyz[rows[start]][group]).all(axis=1)
     again = np.zeros(len(cloud), bool)
-    again[rows] = file[rows] != first
+    again[rows] = equal & (file[rows] != first[group] % 2**31)
     return again
 
 
