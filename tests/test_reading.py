@@ -15,7 +15,6 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
-import rasterio
 from click.testing import CliRunner
 from las_files import OFFSETS, las_of, make_las, patch, replace_crs
 
