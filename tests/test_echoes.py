@@ -26,6 +26,7 @@ def pulses(n=2000, seed=0):
 WAYS = {
     "sound": (lambda number, total: number, None, False),
     "zero": (lambda number, total: number - 1, "count from 0", False),
+    "some zero": (lambda number, total: number - (total > 1), "count from 0", False),
     "unfilled": (lambda number, total: np.ones_like(number), "are not filled in", True),
     "blank": (lambda number, total: np.zeros_like(number), "are not filled in", True),
     "reversed": (lambda number, total: total - number + 1, "heights rise with return numbers", True),

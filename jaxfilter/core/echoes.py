@@ -12,8 +12,9 @@ from .errors import warn
 
 _RUN, _RUNS, _CHUNK = 1 << 14, 8, 50_000
 """Points of a run of the sample, runs, and points of a chunk of LAZ: runs begin where chunks do, so that little is decoded."""
-_ENOUGH, _PAIRS, _FEW = 100, 50, 0.001
-"""Points of pulses of several, and pairs of echoes, by which numbers are judged, and the share that may be damaged."""
+_ENOUGH, _PAIRS, _FEW, _FIRST = 100, 50, 0.001, 0.05
+"""Points of pulses of several, and pairs of echoes, by which numbers are judged; the share of points that may be damaged, and of
+first echoes at least: a pulse has 15 echoes at most."""
 _RISING = 0.75
 """Share of pairs whose heights rise with the number, in data numbered from the last echo. In sound data it is .25 at most (a
 drone over steep slopes), and about .5 where the pairs are of different pulses."""
@@ -53,11 +54,12 @@ def numbering(columns: Mapping[str, Any], z: np.ndarray, time: np.ndarray | None
         return Numbering.SOUND
     rows = np.concatenate([np.arange(run.start, run.stop) for run in sample(len(number))])
     number, total, z = number[rows], total[rows], np.asarray(z)[rows]
-    counted, several, how = total > 0, total > 1, Numbering.SOUND
-    if not (number.any() or counted.any()):
+    several, how = total > 1, Numbering.SOUND
+    if not (number.any() or total.any()):
         return Numbering.EMPTY
-    if ((number == 0) & counted).any() and (number >= total)[counted].mean() <= _FEW:
-        number, how = number + counted, Numbering.FROM_ZERO
+    judged = several if several.any() else total > 0
+    if (number == 0)[judged].mean() > _FIRST and (number >= total)[judged].mean() <= _FEW:
+        number, how = number + (number < total), Numbering.FROM_ZERO
     if several.sum() >= _ENOUGH and (number >= total)[several].mean() <= _FEW:
         return Numbering.UNFILLED
     return Numbering.REVERSED if _rises(number, total, z, None if time is None else np.asarray(time)[rows]) else how

@@ -130,7 +130,7 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
     cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
     again, repeated = _again(cloud, file, np.concatenate(keys)) if shared else None, {}
     if again is not None and again.any():
-        repeated = {number: int((again & core & (file == number)).sum()) for number in numbers}
+        repeated = dict(zip(*(v.tolist() for v in np.unique(file[again & core], return_counts=True)), strict=True))
         cloud, file, record, core = part_of(cloud, ~again), file[~again], record[~again], core[~again]
     return Around(cloud, file, record, core, left_out, checksums, repeated)
 
