@@ -96,9 +96,7 @@ BREAKLINES = option(
 )
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
-_OF_GROUND = (
-    "Class of the ground points, without --filter. With 40, the bed of waters, terrain models have no level of water."
-)
+_OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
 GROUND = [*FILTER, CLASSES, *STATED, AOI]
 """What is ground."""

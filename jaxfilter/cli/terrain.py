@@ -134,12 +134,7 @@ def _cells(report: TerrainReport, side: str) -> str:
     *FILTER,
     *READING,
     PRESET_OF_CLASSES,
-    option(
-        "--classified",
-        "Take the points of this class for ground, and classify no files. 40 is as in dtm.",
-        CLASS,
-        multiple=True,
-    ),
+    option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
     option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
     *CELL,
     BREAKLINES,

@@ -131,7 +131,8 @@ class Product:
                 f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile "
                 "holds them: correct the header"
             )
-        label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
+        if not rows.all():
+            label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
         candidate = (label & CANDIDATE) > 0
         if reading.aoi is None and not repeated:
             cloud = file_cloud(source, candidate, index, bounds=reading.bounds, checksum=checksum)

@@ -213,7 +213,7 @@ def levels_in(cloud: PointCloud, result: FilterResult | np.ndarray | None, groun
     return WaterRuns.joined([WaterRuns.of(water_of(cloud, result, ground), cloud)])
 
 
-def levels_over(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterRuns | None:
+def levels_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterRuns | None:
     """As :func:`levels_in`, for a terrain model: None if ``result``, an array, says that points of the bed are ground."""
     classes = None if isinstance(result, FilterResult) else cloud.classification
     bed = classes is not None and bool((classes[ground] == BED).any())

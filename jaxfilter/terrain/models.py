@@ -14,7 +14,7 @@ from ..core.result import FilterResult, Progress, silent
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
 from .layer import Layer, Site, grid_of, ground_of
-from .levels import levels_over
+from .levels import levels_of
 from .outline import SNAP
 from .raster import Raster, RasterGrid
 
@@ -71,7 +71,7 @@ def dtm(
     interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
     ground, grid = ground_of(cloud, result), grid_of(cloud, cell, bounds)
-    levels = levels_over(cloud, result, ground) if level_water else None
+    levels = levels_of(cloud, result, ground) if level_water else None
     site = Site(cloud, ground, grid, None, interpolation, workers, levels=levels, progress=progress or silent)
     values = site.of(Dtm())
     if bounds is not None and len(cloud) and np.isnan(values).all():
