@@ -159,4 +159,5 @@ class Labelled(Mapping[str, PointCloud]):
 
 
 def _read(path: Path, reading: Reading) -> PointCloud:
-    return read(path, **{f.name: getattr(reading, f.name) for f in dataclasses.fields(reading) if f.name != "aoi"})
+    names = [field.name for field in dataclasses.fields(reading) if field.name not in ("aoi", "drop_duplicates")]
+    return read(path, **{name: getattr(reading, name) for name in names})

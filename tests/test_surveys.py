@@ -258,7 +258,7 @@ def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(surve
 def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):
     path = shutil.copy(survey / "west.las", tmp_path)
     for function in (jf.ground, jf.heights):
-        with pytest.raises(jf.ParameterError, match="would remove all points outside"):
+        with pytest.raises(jf.ParameterError, match="would remove points"):
             function(path, None, PMF, reading=jf.Reading(bounds=(0, 0, 20, 20)), run=jf.RunOptions(in_place=True))
     assert (
         las_of_folder(tmp_path) == {"west.las": (survey / "west.las").read_bytes()}

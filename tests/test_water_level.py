@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from commands import done
+from las_files import las_of
 
 import jaxfilter as jf
 from jaxfilter.surveys.tiles import part_of
@@ -173,3 +174,27 @@ def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path):
     np.testing.assert_allclose(made_model[inside], model[inside], atol=1e-3)
     for one in whole.geometry:
         assert np.ptp(made_model[shapely.contains_xy(one, x, y)]) == 0
+
+
+def test_the_bed_that_is_named_as_ground_is_the_terrain(tmp_path):
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 100, (2, 20_000))
+    bed = 3 - 7 * x / 100
+    surface = (bed < 0) & (rng.uniform(size=len(x)) < 0.5)
+    classes = np.where(surface, 9, np.where(bed < 0, 40, 2))
+    las = las_of(
+        tmp_path / "in.las", np.column_stack([x, y, np.where(surface, 0, bed)]), crs=32632, classification=classes
+    )
+    cloud, run = jf.read(las), jf.RunOptions(workers=1, tile=40.0, wide_halos=True)
+    expected = 3 - 7 * (np.arange(99) + 0.5) / 100  # of the columns, but the last one, which has an edge
+    for named, low in (((2,), 0.0), ((2, 40), -3.8)):
+        jf.terrain_model(tmp_path / "in.las", tmp_path / "dtm.tif", named, run=jf.RunOptions(workers=1, overwrite=True))
+        outlines = tmp_path / f"{low}.gpkg"
+        made = tmp_path / str(low)
+        jf.products(tmp_path / "in.las", made, named, only=["dtm", "contours"], breaklines=outlines, run=run)
+        in_memory = jf.dtm(cloud, np.isin(classes, named))
+        for model in (in_memory, jf.Raster.read(tmp_path / "dtm.tif"), jf.Raster.read(made / "dtm.tif")):
+            rows = model.values[5:-5, :99]
+            assert np.nanmax(abs(rows - np.where(expected < 0, expected if low else 0.0, expected))[:, 50:]) < 0.2
+        assert len(geopandas.read_file(outlines)) == 1
+        assert (geopandas.read_file(made / "contours.gpkg").elevation.min() <= -3) == (low < 0)

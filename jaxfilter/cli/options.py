@@ -33,6 +33,11 @@ AOI = option(
     "Polygons, such as a .gpkg, whose points are written. The labels are those of the whole.",
     click.Path(exists=True, path_type=Path),
 )
+DUPLICATES = option(
+    "--drop-duplicates",
+    "Write an echo that several LAS files hold, such as tiles with a buffer, into the first of them only.",
+    bool,
+)
 READING = [
     *STATED,
     BOUNDS,
@@ -50,6 +55,7 @@ READING = [
     option("--ignore-overlap", "Points of class 12 or with the overlap flag are not judged either.", bool),
     option("--keep-withheld", "Judge points with the withheld flag as well.", bool),
     option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool),
+    DUPLICATES,
 ]
 """Fields of Reading."""
 PRESET_OF_CLASSES = option(
@@ -90,7 +96,7 @@ BREAKLINES = option(
 )
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
-_OF_GROUND = "Class of the ground points, without --filter."
+_OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
 GROUND = [*FILTER, CLASSES, *STATED, AOI]
 """What is ground."""

@@ -12,6 +12,7 @@ from .commands import command
 from .options import (
     BOUNDS,
     BREAKLINES,
+    DUPLICATES,
     FILTER,
     GROUND,
     PRESET_OF_CLASSES,
@@ -184,6 +185,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     click.Argument(["names"], metavar="IN... [OUT]", nargs=-1, required=True),
     *GROUND,
     BOUNDS,
+    DUPLICATES,
     option("--replace-z", "Write heights in place of Z instead of as an extra dimension.", bool),
     *RUN,
 )

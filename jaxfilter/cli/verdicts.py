@@ -48,7 +48,7 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     option("--other-class", "Class for points that are no ground any more.", CLASS, default=1),
     option("--bridge-class bridge", "Class for points of bridges that were ground (ASPRS: 17).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9).", CLASS),
-    *(one for one in READING if one.name not in ("bounds", "aoi")),
+    *(one for one in READING if one.name not in ("bounds", "aoi", "drop_duplicates")),
     *_RUN,
 )
 def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any) -> Answer:

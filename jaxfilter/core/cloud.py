@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .echoes import echo_mask, numbering, renumbered
 from .errors import InputError, warn
 from .frame import QUANTUM as QUANTUM
 from .frame import Coordinates, check_scales, ends
@@ -51,7 +52,8 @@ class PointCloud:
     Attributes:
         origin: f64[3], file units; local metres = (file coordinate - origin) * units, quantised to :data:`QUANTUM`.
         xyz: f32[n, 3], metres in the local frame. Rows of invalid points (see ``valid``) are zero.
-        return_number, number_of_returns: u8[n] or None where the format has none.
+        return_number, number_of_returns: u8[n] or None where the format has none. Numbers that count from 0 are one more here,
+            and they are None where they are not filled in, or count from the last echo.
         classification: u8[n] ASPRS classes as read, or None.
         withheld, overlap: bool[n] or None; the LAS flags. Point formats below 6 have class 12 instead of the second.
         candidate: bool[n]; the points that a filter may call ground. Others are non-ground and are written unchanged.
@@ -242,12 +244,14 @@ class PointCloud:
     ) -> PointCloud:
         units, local = reading.metres, places.local
         origin, valid = places.place(valid, units, reading.anchor, name, reading.drop_invalid)
-        arrays = (*COLUMNS, "reference", "candidate")
+        arrays, numbered = (*COLUMNS, "reference", "candidate"), attributes.pop("numbering", None)
         for key, value in attributes.items():
             if key in arrays and value is not None:
                 attributes[key] = as_column(key, value, name, len(local))
             elif key not in (*arrays, "crs", "source", "whole"):
                 raise InputError(f"{name}: {key}= is no attribute of points; there are {', '.join(arrays)} and crs")
+        how = numbering(attributes, local[:, 2]) if numbered is None else numbered
+        attributes["return_number"] = renumbered(attributes, how, name)
         candidate = attributes.pop("candidate", None)
         cloud = cls(origin, local, units=units, anchor=np.array(reading.anchor), valid=valid, **attributes)
         if candidate is None:
@@ -285,7 +289,7 @@ class PointCloud:
 
     def _candidates(self, reading: Reading, name: str) -> np.ndarray:
         """bool[n]: the points that are judged."""
-        candidate = _echo_mask(self.return_number, self.number_of_returns, reading.echoes, len(self), name)
+        candidate = echo_mask(self.return_number, self.number_of_returns, reading.echoes, len(self), name)
         if self.valid is not None:
             candidate &= self.valid
         if self.classification is not None and reading.ignore_classes:
@@ -338,26 +342,6 @@ def overlap_counts(cloud: PointCloud, ground: np.ndarray) -> dict[str, int]:
         "judged": int((marked & cloud.candidate).sum()),
         "ground": int((marked & ground).sum()),
     }
-
-
-def _echo_mask(
-    number: np.ndarray | None, total: np.ndarray | None, wanted: frozenset[str], n: int, name: str
-) -> np.ndarray:
-    """bool[n]: which points are among the wanted echoes. Damaged echo numbers are treated as last, with a warning."""
-    if "all" in wanted or number is None or total is None or n == 0:
-        return np.ones(n, bool)
-    empty = (number == 0) & (total == 0)
-    if empty.all():
-        warn(f"{name}: return number and number of returns are 0 throughout, so all points are candidates")
-        return np.ones(n, bool)
-    odd = (number == 0) | (total == 0) | (number > total)
-    if odd.any():
-        warn(f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns")
-    is_last = number == total
-    kinds = {"only": is_last & (total == 1), "last": is_last & (total > 1), "first": ~is_last & (number == 1)}
-    kinds["intermediate"] = ~is_last & (number > 1)
-    mask = np.logical_or.reduce([kinds[kind] for kind in wanted]) & ~odd
-    return mask | odd if "last" in wanted else mask
 
 
 def as_cloud(points: Any) -> PointCloud:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .echoes import numbering
 from .errors import InputError
 from .units import STATED, Stated, Units, linear_units, not_metric, reference_of, sampled
 
@@ -116,7 +117,9 @@ def laspy_parts(
             raise InputError(f"{name}: {reason}")
     there = set(las.point_format.dimension_names)
     columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
-    return scale, (ticks, scales, offsets), {**columns, "crs": reference.crs, "reference": _ground_of(columns)}
+    how = numbering(columns, ticks[:, 2], las["gps_time"] if "gps_time" in there else None)
+    more = {"crs": reference.crs, "reference": _ground_of(columns), "numbering": how}
+    return scale, (ticks, scales, offsets), columns | more
 
 
 def structured_parts(points: Any, name: str) -> dict[str, Any]:
@@ -136,7 +139,9 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: X, Y and Z must have one length and one dimension, not shapes {sorted(shapes)}")
     n = len(axes[0])
     columns = {field: as_column(field, get(field), name, n) for field in COLUMNS if _plain(field) in named}
-    return {"xyz": np.ma.stack(axes, axis=1), **columns, "reference": _ground_of(columns)}
+    time = numbers(get("gps_time"), f"{name}: gps_time") if "gpstime" in named else None
+    how = numbering(columns, axes[2], time)
+    return {"xyz": np.ma.stack(axes, axis=1), **columns, "reference": _ground_of(columns), "numbering": how}
 
 
 def _ground_of(columns: dict[str, np.ndarray]) -> np.ndarray | None:

@@ -48,6 +48,9 @@ class Reading:
             Nothing is reprojected.
         aoi: the area of interest, of surveys: a vector file (``"area.gpkg"``), a GeoDataFrame, or a polygon in file coordinates.
             Points in it are written; those around it take part, so that they get the labels that they have in the whole.
+        drop_duplicates: of surveys: an echo that lies in several LAS files, as in tiles with a buffer, is written into the first
+            of them only, or into the first in which it is not withheld. Echoes are the same if X, Y, Z, GPS time, return number
+            and point source are equal. Equal points of one file stay. Rasters count such an echo once in any case.
 
     Raises: InputError for returns, classes, units, a CRS or an anchor that there are not.
 
@@ -65,6 +68,7 @@ class Reading:
     bounds: Bounds | None = None
     crs: Any = None
     aoi: Any = None
+    drop_duplicates: bool = False
 
     def __post_init__(self) -> None:
         words = self.returns.lower().split(",") if isinstance(self.returns, str) else []

@@ -7,11 +7,12 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
+from laspy import DecompressionSelection
 
 from ..core.errors import InputError
 from .disk import CHANGED_SINCE, Bounds, Identity
 from .header import Header
-from .points import Points, coordinates, read_points
+from .points import ALL, CLOUD, Points, coordinates, read_points
 from .storage import Place
 
 
@@ -41,15 +42,15 @@ class Handle:
         """In words, for messages."""
         return str(self.header)
 
-    def records(self, every_field: bool = True) -> Iterator[Points]:
+    def records(self, fields: DecompressionSelection = ALL) -> Iterator[Points]:
         """The points, read once more. Raises InputError."""
-        for points, number in read_points(self.header, self.bounds, every_field):
+        for points, number in read_points(self.header, self.bounds, fields):
             yield points if self.rows is None else points[self.rows[number]]
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
         with self.again():
-            parts = [coordinates(points, self.header) for points in self.records(every_field=False)]
+            parts = [coordinates(points, self.header) for points in self.records(CLOUD)]
             return np.concatenate([np.zeros((0, 3)), *parts])
 
     @contextlib.contextmanager

@@ -14,6 +14,7 @@ import laspy
 import lazrs
 import numpy as np
 
+from ..core.echoes import sample
 from ..core.errors import InputError, OutputError
 from ..core.inputs import COLUMNS
 from ..core.process import need_threads
@@ -23,16 +24,18 @@ from .disk import Bounds
 from .guard import check_chunks, chunk_table, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
 from .runs import Runs, nodes
+from .storage import Remote
 
 CHUNK = 1_000_000
 """Points that are held at a time."""
+_SAME = 1e-5
+"""Units, to which coordinates are rounded before they are compared."""
 Points: TypeAlias = laspy.PackedPointRecord
 """Records of points as laspy holds them: ``array`` is structured, with the fields of the point format."""
-SMALL = 50_000
-"""Points of a file that are all looked at to know its extent: a chunk of LAZ, as most writers make it."""
 
-_CLOUD = laspy.DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
-_ALL = laspy.DecompressionSelection.all()
+CLOUD = laspy.DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
+ALL = laspy.DecompressionSelection.all()
+"""Fields of LAZ of point formats 6 and above that are decompressed; the others are 0, which is faster."""
 
 
 class _Shown(io.RawIOBase):
@@ -63,9 +66,8 @@ class _Shown(io.RawIOBase):
         return len(part)
 
 
-def reader_of(header: Header, file: BinaryIO, every_field: bool = True) -> laspy.LasReader:
-    """A reader of the points of an open file, which has passed the guard. ``every_field``: otherwise those other than
-    coordinates, echoes, class and flags may be zero, which is faster for LAZ."""
+def reader_of(header: Header, file: BinaryIO, fields: laspy.DecompressionSelection = ALL) -> laspy.LasReader:
+    """A reader of the points of an open file, which has passed the guard."""
     need_threads()
     file.seek(0)
     return laspy.LasReader(
@@ -73,18 +75,18 @@ def reader_of(header: Header, file: BinaryIO, every_field: bool = True) -> laspy
         closefd=False,
         laz_backend=laspy.LazBackend.LazrsParallel,
         read_evlrs=False,
-        decompression_selection=_ALL if every_field else _CLOUD,
+        decompression_selection=fields,
     )
 
 
 def read_points(
-    header: Header, bounds: Bounds | None = None, every_field: bool = True, runs: Runs | None = None
+    header: Header, bounds: Bounds | None = None, fields: laspy.DecompressionSelection = ALL, runs: Runs | None = None
 ) -> Iterator[tuple[Points, np.ndarray]]:
     """The points, up to a million at a time, in file order, and their numbers in the file, i64[k]; only those inside
     ``bounds`` if given.
 
     Args:
-        every_field: as of :func:`reader_of`.
+        fields: :data:`ALL` or :data:`CLOUD`.
         runs: where runs of records lie: only those are read that may hold points inside the bounds. By default the nodes of
             the octree of COPC, and else the whole file.
 
@@ -96,11 +98,11 @@ def read_points(
         if header.is_copc and bounds is not None and runs is None:
             runs = nodes(header, file)
         if runs is None or bounds is None:
-            parts = enumerate(reader_of(header, file, every_field).chunk_iterator(CHUNK))
+            parts = enumerate(reader_of(header, file, fields).chunk_iterator(CHUNK))
             chunks = ((part, k * CHUNK + np.arange(len(part))) for k, part in parts)
         else:
             groups = runs.meeting(bounds).groups(CHUNK)
-            chunks = ((_decoded(header, file, group, every_field), group.records) for group in groups)
+            chunks = ((_decoded(header, file, group, fields), group.records) for group in groups)
         done = 0
         for points, numbers in chunks:
             done += len(points)
@@ -112,7 +114,7 @@ def read_points(
             raise InputError(f"{header.path}: the file ends within its points; it is truncated")
 
 
-def _decoded(header: Header, file: BinaryIO, runs: Runs, every_field: bool) -> Points:
+def _decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
     """The points of some runs. laspy has no call for a part of LAZ that is right for chunks of several sizes: its ``seek`` takes
     them for equal ones (laspy 2.7, lazrs 0.8), so the chunks are decoded as its reader of COPC does."""
     packed = b"".join(
@@ -120,7 +122,7 @@ def _decoded(header: Header, file: BinaryIO, runs: Runs, every_field: bool) -> P
     )
     if header.compressed:
         records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
-        selection = lazrs.DecompressionSelection((_ALL if every_field else _CLOUD).value)
+        selection = fields.to_lazrs()
         need_threads()
         table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
         lazrs.decompress_points_with_chunk_table(packed, header.decoder, records, table, selection)
@@ -145,7 +147,7 @@ def measured(header: Header) -> tuple[Runs, np.ndarray]:
     with reading_errors(header.path), header.open() as file:
         runs = Runs.of_file(header, file)
     low, high = np.full((len(runs.first), 3), 2**31), np.full((len(runs.first), 3), -(2**31))
-    for points, numbers in read_points(header, every_field=False):
+    for points, numbers in read_points(header, fields=CLOUD):
         ticks = integers(points)
         first, last = np.searchsorted(runs.first, numbers[[0, -1]], side="right")
         rows = slice(first - 1, last)
@@ -157,19 +159,43 @@ def measured(header: Header) -> tuple[Runs, np.ndarray]:
     return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
 
 
-def sampled_extent(header: Header, file: BinaryIO) -> np.ndarray:
-    """Lowest and highest x, y, z of some points of an open file, f64[2, 3]: of all of a small file, of the first of each chunk of
-    LAZ, of every so many of LAS."""
-    if header.count <= SMALL:
-        ticks = integers(reader_of(header, file, every_field=False).read_points(header.count))
-    else:
+def sampled_points(header: Header, file: BinaryIO) -> Points:
+    """The records of :func:`jaxfilter.core.echoes.sample`, with GPS times: all of a small file."""
+    found = Runs.of_file(header, file)
+    points = np.zeros_like(found.points)  # from the beginning of each run
+    for part in sample(header.count):
+        at = slice(np.searchsorted(found.first, part.start, "right") - 1, np.searchsorted(found.first, part.stop))
+        points[at] = np.minimum(found.points[at], part.stop - found.first[at])
+    if not header.compressed:
+        found = dataclasses.replace(found, size=points * header.record_length)
+    return _decoded(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
+
+
+def sampled_extent(header: Header, file: BinaryIO, some: Points) -> np.ndarray:
+    """Lowest and highest x, y, z, f64[2, 3]: of ``some`` points, and of more of a large file on a disk, the first of each
+    chunk of LAZ and every so many of LAS."""
+    ticks = integers(some)
+    if len(some) < header.count and not isinstance(header.path, Remote):
         start = len(header.head) + np.linspace(0, header.count - 1, 1000).astype(np.int64) * header.record_length
         if header.compressed:
             start, size, _ = chunk_table(header, file)
             start = start[size > 12]
-        ticks = pieces(header, file, start, 12).view("<i4")
+        ticks = np.concatenate([ticks, pieces(header, file, start, 12).view("<i4")])
     xyz = ticks * header.scales + header.offsets
     return np.stack([xyz.min(axis=0), xyz.max(axis=0)])
+
+
+def echo_keys(points: Points, header: Header) -> np.ndarray:
+    """u64[n], a hash of X, Y, Z (to 0.01 mm of a unit in metres), GPS time, return number and point source of each point, whose
+    scales and offsets do not count. Different echoes have one hash in a case of 2**64."""
+    columns = list(np.rint(coordinates(points, header) / _SAME).astype(np.int64).T)
+    columns += [points.gps_time.view(np.int64)] if "gps_time" in points.array.dtype.names else []
+    columns += [np.asarray(points.return_number).astype(np.int64) << 16 | points.point_source_id]
+    key = np.zeros(len(points), np.uint64)
+    for column in columns:
+        key = (key ^ column.view(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+        key ^= key >> np.uint64(32)
+    return key
 
 
 def integers(points: Points) -> np.ndarray:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from laspy import DecompressionSelection
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
+from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.inputs import COLUMNS, is_laspy
@@ -23,7 +25,17 @@ from .disk import CHANGED_IN_READING, Bounds, Identity, opened
 from .guard import check_chunks, read_header, reading_errors
 from .handles import Handle
 from .header import Header
-from .points import CHUNK, attributes, integers, read_points, sampled_extent
+from .points import (
+    ALL,
+    CHUNK,
+    CLOUD,
+    Points,
+    attributes,
+    integers,
+    read_points,
+    sampled_extent,
+    sampled_points,
+)
 from .runs import Runs
 from .storage import Place, Remote, place_of
 from .text import SUFFIXES, TextFile, open_text
@@ -169,12 +181,13 @@ def is_text(path: Place) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class LasFile:
-    """The header of a LAS file, what it says of its coordinates, and the lowest and highest x, y, z of some points, f64[2, 3],
-    None where no point was looked at."""
+    """The header of a LAS file, what it says of its coordinates, and what some points show: the lowest and highest x, y, z of
+    them, f64[2, 3], None where no point was looked at, and how the echoes of all are numbered."""
 
     header: Header
     reference: Reference
     extent: np.ndarray | None = None
+    numbering: Numbering = Numbering.SOUND
 
     def cloud(
         self,
@@ -183,14 +196,15 @@ class LasFile:
         *,
         strict: bool = True,
         runs: Runs | None = None,
-        record: list[np.ndarray] | None = None,
+        fields: DecompressionSelection = CLOUD,
+        note: Callable[[Points, np.ndarray], None] = lambda points, record: None,
     ) -> PointCloud:
         """The points inside ``reading.bounds``, in the units asked for, or of the CRS, or in metres with a warning.
 
         Args:
             strict: coordinates that cannot be lengths are an error, not a warning, where no units are asked for.
-            runs: as of :func:`read_points`.
-            record: a list to which the numbers of the points in the file are appended, i64[k] in pieces.
+            runs, fields: as of :func:`read_points`.
+            note: is called with points, as they are read, and their numbers in the file, i64[k].
 
         Raises: InputError.
         """
@@ -204,14 +218,13 @@ class LasFile:
             ticks, n = np.empty((most, 3), np.int32), 0
             columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
         with header.identity.kept(path, CHANGED_IN_READING):
-            for number, (points, numbers) in enumerate(read_points(header, cut, header.upper != {}, runs)):
+            for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
                 progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
                 rows = slice(n, n + len(points))
                 ticks[rows] = integers(points)
                 for name, values in attributes(points, header).items():
                     columns[name][rows] = values
-                if record is not None:
-                    record.append(numbers)
+                note(points, record)
                 n = rows.stop
         if n < most:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
@@ -228,6 +241,7 @@ class LasFile:
             crs=reference.crs,
             source=Handle(header, n, cut),
             reference=is_ground if is_ground.any() else None,
+            numbering=self.numbering if n else Numbering.SOUND,
             **columns,
         )
 
@@ -240,11 +254,14 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
     """
     with reading_errors(path):
         with opened(path) as (file, identity):
-            header, extent = read_header(path, file, identity), None
+            header, extent, how = read_header(path, file, identity), None, Numbering.SOUND
             if tables:
                 header = dataclasses.replace(header, unread=check_chunks(header, file))
-                if header.count and not isinstance(path, Remote):
-                    extent = sampled_extent(header, file)
+                if header.count:
+                    some = sampled_points(header, file)
+                    extent = sampled_extent(header, file, some)
+                    time = some.gps_time if "gps_time" in some.array.dtype.names else None
+                    how = numbering(attributes(some, header), some.Z, time)
             stated = {}
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
@@ -254,7 +271,7 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         for remark in header.remarks():
             warn(f"{path}: {remark}")
         wkt = header.point_format >= 6 or bool(header.head[6] & 16)  # of the global encoding
-        return LasFile(header, reference_of(stated, str(path), wkt), extent)
+        return LasFile(header, reference_of(stated, str(path), wkt), extent, how)
 
 
 def kept_las(path: Place, tables: bool = False) -> LasFile:

@@ -12,11 +12,12 @@ from typing import Any, cast
 import numpy as np
 import pyproj
 
+from ..core.echoes import sample
 from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds
-from .points import SMALL, measured
+from .points import measured
 from .reading import LasFile, is_text, kept_las
 from .storage import Place, Remote, place_of
 from .text import kept_text
@@ -133,7 +134,7 @@ def _extent_of(las: LasFile) -> np.ndarray:
     header, seen, stated = las.header, las.extent, np.stack(las.header.extent)
     if not header.count:
         return stated
-    (low, high), slack, small = stated, 2 * header.scales, header.count <= SMALL and seen is not None
+    (low, high), slack, small = stated, 2 * header.scales, seen is not None and len(sample(header.count)) == 1
     sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
     if sane and not small:
         some = stated if seen is None else seen

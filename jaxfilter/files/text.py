@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, PointCloud
+from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS, LARGEST
 from ..core.reading import Reading, inside
@@ -55,6 +56,7 @@ class TextFile:
         format: in words. checksum: CRC-32 of all bytes of the file.
         rows: bool of all lines of data, those whose points these are.
         xyz: f64[n, 3], file units. columns: arrays [n], named as those of a cloud; ``reference`` comes from a column ``label``.
+        numbering: of the echoes of all points of the file.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class TextFile:
     rows: np.ndarray
     xyz: np.ndarray
     columns: dict[str, np.ndarray]
+    numbering: Numbering
 
     @property
     def points(self) -> int:
@@ -102,7 +105,7 @@ class TextFile:
             some = self.xyz[sampled(self.points)]
             some = some[np.isfinite(some).all(axis=1)]
             check_lengths(self.path, some, self.points, reading.bounds is not None, strict)
-        fields = reading.of_points() | {"units": reading.metres}
+        fields = reading.of_points() | {"units": reading.metres, "numbering": self.numbering}
         source = dataclasses.replace(self, path=self.path.absolute())
         return PointCloud.from_arrays(self.xyz, name=str(self.path), source=source, **columns, **fields)
 
@@ -153,7 +156,8 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
         identity, content = _content(path, CHANGED_IN_READING)
         lines = _lines(path, content)
         xyz, columns = lines.points()
-        found = TextFile(path, identity, str(lines), zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns)
+        how = numbering(columns, xyz[:, 2])
+        found = TextFile(path, identity, str(lines), zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns, how)
         part = found.within(bounds)
         odd = ~np.isfinite(xyz)
         odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter

@@ -18,7 +18,7 @@ from .disk import Bounds, Identity
 from .guard import reading_errors
 from .handles import Handle
 from .header import Header
-from .points import measured
+from .points import ALL, CLOUD, Points, echo_keys, measured
 from .reading import LasFile, kept_las
 from .runs import Runs, nodes
 from .sources import Source
@@ -36,10 +36,12 @@ class Window:
         cloud: n points, in the order of the file.
         record: i64[n], their record numbers in the file, counted from 0; the row that each has in ``jaxfilter.read`` of
             the whole file.
+        key: u64[n], see :func:`echo_keys`, if it was asked for.
     """
 
     cloud: PointCloud
     record: np.ndarray
+    key: np.ndarray | None = None
 
 
 def read_window(
@@ -47,6 +49,7 @@ def read_window(
     box: Bounds | None = None,
     index: Path | None = None,
     reading: Reading = Reading(),  # noqa: B008
+    keys: bool = False,
 ) -> Window:
     """The points with xmin <= x < xmax and ymin <= y < ymax, as ``jaxfilter.read(..., bounds=box)`` gives them.
 
@@ -61,6 +64,7 @@ def read_window(
         index: folder in which the areas of runs and chunks are kept, one small file for each file, for other processes and
             later runs. It is made if missing. By default only this process keeps them.
         reading: which points are candidates, and the anchor of grids; the units are those of the source.
+        keys: read what tells echoes from one another as well.
 
     Returns: Window; a cloud of no points where there are none.
     Raises: InputError naming the file, if it is gone, damaged, or has changed since ``source`` was made.
@@ -74,8 +78,15 @@ def read_window(
     x0, y0, x1, y1 = source.bounds
     whole = cut is None or not source.count or (cut[0] <= x0 and cut[1] <= y0 and x1 < cut[2] and y1 < cut[3])
     runs = None if whole else runs_of(file, index)
-    record = [np.zeros(0, np.int64)]
-    return Window(file.cloud(reading, runs=runs, record=record), np.concatenate(record))
+    record, key = [np.zeros(0, np.int64)], [np.zeros(0, np.uint64)]
+
+    def note(points: Points, numbers: np.ndarray) -> None:
+        record.append(numbers)
+        if keys:
+            key.append(echo_keys(points, file.header))
+
+    cloud = file.cloud(reading, runs=runs, fields=ALL if keys else CLOUD, note=note)
+    return Window(cloud, np.concatenate(record), np.concatenate(key) if keys else None)
 
 
 def file_cloud(

@@ -23,7 +23,7 @@ from .disk import CHANGED_SINCE, Identity, new_file
 from .guard import read_header
 from .handles import Handle
 from .header import FLOATS, Header
-from .points import CHUNK, Points, Writer, attributes, coordinates, put_classes
+from .points import CHUNK, CLOUD, Points, Writer, attributes, coordinates, put_classes
 from .storage import Place, Remote, place_of
 from .text import SUFFIXES as TEXT_SUFFIXES
 from .text import TextFile, write_table
@@ -342,7 +342,7 @@ def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Po
 def _runs(cloud: PointCloud) -> Iterator[np.ndarray]:
     """The coordinates in file units, f64[k, 3]: of the source file, or else of the cloud."""
     if isinstance(cloud.source, Handle):
-        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(every_field=False))
+        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(CLOUD))
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)

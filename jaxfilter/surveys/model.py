@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Iterator, Mapping
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.grid import MAX_CELLS
 from ..core.reading import Reading
 from ..files.disk import Bounds, check_suffix
@@ -21,11 +22,11 @@ from ..files.vectors import write_features
 from ..terrain.contours import Contours, contour_tables
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
-from ..terrain.levels import water_of
+from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
-from .collection import Collection
+from .collection import Collection, common
 from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
@@ -107,7 +108,7 @@ class RasterProduct(GroundNeeded):
                 arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
             arrays |= kept_water(around.cloud, water, tile)
-            if water is not None or self.water.known:
+            if self.interpolation.level_water and (water is not None or self.water.known):
                 made_of = {part for layer in _cells(self.layers) if Dtm() in layer.parts for part in layer.parts}
                 arrays |= {_WIDE + part.NAME: site.of(part) for part in made_of}
             summary.seconds["interpolate"] += time.perf_counter() - start
@@ -126,12 +127,15 @@ class RasterProduct(GroundNeeded):
         return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
+        """Write the rasters, and lines. Raises: InputError if no point is ground, or if one has no value; OutputError."""
         assert isinstance(report, TerrainReport)
-        if collection.count and not report.ground:
+        if not report.ground:
             more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
-            self.store.discard()
-            raise InputError(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
+            raise self._nothing(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
+        x0, y0, x1, y1 = common(self.grid.bounds, self.data)
+        if (x0 > x1 or y0 > y1) and not self.interpolation.fill:
+            box, data = (", ".join(f"{v:.10g}" for v in one) for one in (self.grid.bounds, self.data))
+            raise self._nothing(f"{collection.name}: no point is in bounds {box}: pass other bounds= within {data}")
         grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
         list_water(self, report, collection, self.water, replace)
         report.rows, report.columns, report.transform = *grid.shape, grid.transform
@@ -146,14 +150,20 @@ class RasterProduct(GroundNeeded):
                     model = self.store.path / "model.tif"
                     known.append(self._write(layer.cells, model, report, collection, True))
                 tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
-                write_features(places[layer], tables, layer.NAME, overwrite=replace)
+                if not len(first := next(tables)):
+                    level = f"no height is a multiple of interval={layer.interval:g}"
+                    said = f"{collection.name}: there is no contour line: {level}: pass a smaller interval="
+                    if len(self.layers) == 1:
+                        raise self._nothing(said)
+                    warn(said)
+                write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
 
     def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
-        levels, units = report.water, collection.units
+        levels, units = report.water if self.interpolation.level_water else None, collection.units
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
         def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
@@ -170,7 +180,22 @@ class RasterProduct(GroundNeeded):
                     values = np.where(within(self.reading.aoi, *np.meshgrid(*own.centres())), made, values)
                 yield own, values
 
-        return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
+        def check(known: int) -> None:
+            if known:
+                return
+            gap = "gap=" if hasattr(layer, "gap") else "max_gap="
+            why = f"too few points are near the middle of one: pass a larger {gap}, or pass a smaller cell="
+            if report.set_aside:
+                why = report.set_aside[0]["reason"]
+            raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
+
+        crs, kind, nodata = collection.crs, layer.KIND, layer.NODATA
+        return write_mosaic(place, self.grid, crs, kind, nodata, parts, overwrite=replace, check=check)
+
+    def _nothing(self, why: str) -> InputError:
+        """The error of a product without values, which leaves nothing to go on with."""
+        self.store.discard()
+        return InputError(why)
 
 
 def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
@@ -197,7 +222,7 @@ def terrain_model(
         what: as in :func:`jaxfilter.ground`.
         target: .tif or .tiff; may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``), where the file appears whole or
             not at all; then the hidden folder lies in ``run.work``.
-        ground: what is ground, as in :func:`jaxfilter.heights`.
+        ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is level.
         cell: side of a cell; its edges are whole multiples of it, all in file units.
         interpolation: as in :func:`jaxfilter.dtm`, see :class:`Interpolation`.
         reading: as in :func:`jaxfilter.ground`; its ``bounds`` are those of the raster, and points around them take part.
@@ -234,13 +259,15 @@ def make_rasters(
     for layer, place in outputs.items():
         check_suffix(place, layer.SUFFIXES)
     recipe, classes = source_of_ground(ground)
+    if BED in (classes or ()):
+        interpolation = dataclasses.replace(interpolation, level_water=False)
     collection, reading = open_files(what, reading, clip=False)
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
-    if bounds is None and not collection.count:
-        raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
+    if not collection.count:
+        raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
-    survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None), run)
+    survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
     return survey.run(
         RasterProduct,
         data=collection.bounds,
@@ -249,5 +276,5 @@ def make_rasters(
         grid=grid,
         layers=layers,
         interpolation=interpolation,
-        water=water if interpolation.level_water else WaterWanted(False),
+        water=water if interpolation.level_water or water.path is not None else WaterWanted(False),
     )

@@ -123,17 +123,18 @@ class Product:
         Raises: InputError if a point has no label.
         """
         source, reading = task.source, self.reading
-        label, quantities = gathered(self.store, task, kinds)
+        label, quantities, repeated = gathered(self.store, task, kinds)
         rows = label > 0
-        if reading.bounds is not None or reading.aoi is not None:
-            label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
-        elif missing := int(np.count_nonzero(~rows)):
+        missing = int(np.count_nonzero(~rows)) - repeated
+        if missing and reading.bounds is None and reading.aoi is None:
             raise InputError(
                 f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile "
                 "holds them: correct the header"
             )
+        if not rows.all():
+            label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
         candidate = (label & CANDIDATE) > 0
-        if reading.aoi is None:
+        if reading.aoi is None and not repeated:
             cloud = file_cloud(source, candidate, bounds=reading.bounds)
         else:
             cloud = file_cloud(source, candidate, rows=rows)
@@ -193,7 +194,7 @@ def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -
 
     ``found``: of all points of the tile; ``quantities``: f[k], of those of the core.
     """
-    arrays: dict[str, np.ndarray] = {}
+    arrays = {f"repeated_{one}": np.array(count) for one, count in around.repeated.items()}
     own = around.own
     label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | found.ground[own] * np.uint8(GROUND)
     label |= found.code[own] << np.uint8(_CODE)
@@ -213,12 +214,15 @@ def found_in(label: np.ndarray) -> Found:
     return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
-def gathered(store: Store, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities."""
+def gathered(store: Store, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
+    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and how many points are left out, since
+    they are in other files."""
+    repeated = 0
     label = np.zeros(task.source.count, np.uint8)
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = store.arrays(number)
+        repeated += int(stored.get(f"repeated_{task.number}", 0))
         if f"record_{task.number}" not in stored:
             continue
         found, record = stored[f"label_{task.number}"], stored[f"record_{task.number}"]
@@ -226,4 +230,4 @@ def gathered(store: Store, task: FileTask, kinds: Mapping[str, type]) -> tuple[n
         label[rows] = found | np.uint8(_STORED)
         for name, values in quantities.items():
             values[rows] = stored[f"{name}_{task.number}"]
-    return label, quantities
+    return label, quantities, repeated

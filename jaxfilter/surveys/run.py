@@ -54,10 +54,11 @@ _WAIT = 0.25  # seconds between looks at the progress
 
 def check_in_place(reading: Reading) -> None:
     """Raises: ParameterError if points would be removed from inputs."""
-    for name in ("bounds", "aoi"):
-        if getattr(reading, name) is not None:
+    for name in ("bounds", "aoi", "drop_duplicates"):
+        value = getattr(reading, name)
+        if value is not None and value is not False:
             raise ParameterError(
-                f"{name} with in_place=True would remove all points outside: name an output, or leave out one of the two"
+                f"{name} with in_place=True would remove points: name an output, or leave out one of the two"
             )
 
 

@@ -22,6 +22,10 @@ from ..files.sources import Source
 from ..files.windows import read_window
 from .area import within
 from .collection import common
+from .findings import Footprints
+
+_LEAST = 1e-9
+"""Share of the smaller of two files from which on they overlap."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +56,7 @@ class Around:
         file: i32[n], the number of the file; record: i64[n], the record in it.
         core: bool[n], points that the tile labels.
         left_out: files that could not be read: number, and reason.
+        repeated: how many points of the core were left out of each file, since another file has the same echoes.
     """
 
     cloud: PointCloud
@@ -59,6 +64,7 @@ class Around:
     record: np.ndarray
     core: np.ndarray
     left_out: dict[int, str]
+    repeated: dict[int, int]
 
     @property
     def own(self) -> np.ndarray:
@@ -88,22 +94,24 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
 
 def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    keys, shared = [np.zeros(0, np.uint64)], _overlapping(tile) if reading.drop_duplicates else set()
     left_out: dict[int, str] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
         box = _box(tile.window, reading.bounds, source)
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             continue
         try:
-            window = read_window(source, box, index, reading)
+            window = read_window(source, box, index, reading, number in shared)
         except InputError as error:
             if not tile.patient:
                 raise
             left_out[number] = str(error)
             continue
         cloud, record = window.cloud, window.record
+        key = np.zeros(len(cloud) if shared else 0, np.uint64) if window.key is None else window.key
         there = inside(cloud, tile.window)
         if not there.all():
-            cloud, record = part_of(cloud, there), record[there]
+            cloud, record, key = part_of(cloud, there), record[there], key[there] if shared else key
         if len(cloud):
             clouds.append(cloud)
             own = inside(cloud, tile.core)
@@ -112,9 +120,39 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             cores.append(own)
             numbers.append(number)
             records.append(record)
+            keys.append(key)
     file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
     cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
-    return Around(cloud, file, record, core, left_out)
+    again, repeated = _again(cloud, file, np.concatenate(keys)) if shared else None, {}
+    if again is not None and again.any():
+        repeated = dict(zip(*(v.tolist() for v in np.unique(file[again & core], return_counts=True)), strict=True))
+        cloud, file, record, core = part_of(cloud, ~again), file[~again], record[~again], core[~again]
+    return Around(cloud, file, record, core, left_out, repeated)
+
+
+def _overlapping(tile: Tile) -> set[int]:
+    """The files of a tile that overlap with others. Text is left out, since it has nothing but coordinates to compare."""
+    rows = [row for row, source in enumerate(tile.sources) if source.format != "text"]
+    pairs, _ = Footprints(np.array([tile.sources[row].bounds for row in rows]).reshape(-1, 4)).overlaps(_LEAST)
+    return {tile.files[rows[row]] for row in pairs.ravel().tolist()}
+
+
+def _again(cloud: PointCloud, file: np.ndarray, key: np.ndarray) -> np.ndarray:
+    """bool[n]: echoes that another file has as well, but in one file, the first in which they are not withheld.
+
+    ``file``: i32[n]; ``key``: u64[n], 0 = there is none. Points count as the same only if their coordinates are equal, too, so
+    different ones are taken for the same in one of 2**64 cases of two at one place.
+    """
+    ordered = np.sort(key[key > 0])
+    rows = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
+    _, start, group = np.unique(key[rows], return_index=True, return_inverse=True)
+    rank = file[rows] + (0 if cloud.withheld is None else cloud.withheld[rows]) * np.int64(2**31)
+    first = np.full(len(start), 2**62)
+    np.minimum.at(first, group, rank)
+    equal = (cloud.xyz[rows] == cloud.xyz[rows[start]][group]).all(axis=1)
+    again = np.zeros(len(cloud), bool)
+    again[rows] = equal & (file[rows] != first[group] % 2**31)
+    return again
 
 
 def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:

@@ -165,7 +165,7 @@ class VerdictProduct(Product):
 
     def file(self, task: FileTask) -> None:
         """Write a file whose points have changed. Raises: InputError, OutputError."""
-        label, _ = gathered(self.store, task, {})
+        label, *_ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0)
             write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, into=task.into)

@@ -15,7 +15,7 @@ from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
 from .interpolation import Heights, Interpolation
-from .levels import WaterRuns, levels_in
+from .levels import WaterRuns, levels_of
 from .raster import NODATA, SUFFIXES, Raster, RasterGrid
 
 
@@ -74,7 +74,7 @@ class Layer:
         cloud = as_cloud(cloud)
         noise = result.low_noise if isinstance(result, FilterResult) else None
         grid, ground = grid_of(cloud, cell, bounds), ground_of(cloud, result)
-        site = Site(cloud, ground, grid, noise=noise, levels=levels_in(cloud, result, ground) if self.SURFACE else None)
+        site = Site(cloud, ground, grid, noise=noise, levels=levels_of(cloud, result, ground) if self.SURFACE else None)
         return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
 
 

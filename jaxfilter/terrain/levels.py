@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 WATER = 9
 """ASPRS class of water."""
+BED = 40
+"""ASPRS class of the bed of waters, measured through them. Where it is named as ground, the terrain is the bed, and not level."""
 REACH = 18.0
 """Metres from a point of water up to which water may be where nothing was returned."""
 LEAST = 100.0
@@ -209,6 +211,13 @@ def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground
 def levels_in(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterRuns | None:
     """The bodies of water of a cloud in memory; ``ground``: bool[n]."""
     return WaterRuns.joined([WaterRuns.of(water_of(cloud, result, ground), cloud)])
+
+
+def levels_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterRuns | None:
+    """As :func:`levels_in`, for a terrain model: None if ``result``, an array, says that points of the bed are ground."""
+    classes = None if isinstance(result, FilterResult) else cloud.classification
+    bed = classes is not None and bool((classes[ground] == BED).any())
+    return None if bed else levels_in(cloud, result, ground)
 
 
 def _keys(row: np.ndarray, column: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..core.result import FilterResult, Progress, silent
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
 from .layer import Layer, Site, grid_of, ground_of
-from .levels import levels_in
+from .levels import levels_of
 from .outline import SNAP
 from .raster import Raster, RasterGrid
 
@@ -43,7 +43,8 @@ def dtm(
     the heights. The edges of the cells are whole multiples of ``cell`` in that system, so rasters of neighbouring tiles
     and of different filters lie cell on cell. The raster covers all points of the cloud, ground or not. Of ground points
     with the same x and y the lowest counts. Water is level: the bodies that the filter found (OST), and those of points of class
-    9. One whose ends differ by less than 0.1 m has one height; others fall along their course (docs/dtm.md).
+    9. One whose ends differ by less than 0.1 m has one height; others fall along their course (docs/dtm.md). If ``result`` is an
+    array and names points of class 40, the bed of waters, the terrain is the bed, and no water is level.
 
     Args:
         cloud: n points, a PointCloud or a ``laspy.LasData``.
@@ -70,7 +71,7 @@ def dtm(
     interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
     ground, grid = ground_of(cloud, result), grid_of(cloud, cell, bounds)
-    levels = levels_in(cloud, result, ground) if level_water else None
+    levels = levels_of(cloud, result, ground) if level_water else None
     site = Site(cloud, ground, grid, None, interpolation, workers, levels=levels, progress=progress or silent)
     values = site.of(Dtm())
     if bounds is not None and len(cloud) and np.isnan(values).all():

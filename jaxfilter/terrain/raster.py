@@ -244,6 +244,7 @@ def write_mosaic(
     parts: Callable[[], Iterable[tuple[RasterGrid, np.ndarray]]],
     *,
     overwrite: bool = False,
+    check: Callable[[int], None] = lambda known: None,
 ) -> int:
     """Write a Cloud Optimized GeoTIFF out of parts, none of which is held longer than needed: overviews, deflated, BigTIFF
     where it has to be.
@@ -252,6 +253,7 @@ def write_mosaic(
         grid: all cells; crs, kind, nodata: as of a :class:`Raster`.
         parts: gives, each time it is called, cells and their values, see :func:`packed`, of parts that do not overlap. What no
             part covers has no value.
+        check: called with the number of cells that have a value, before the file appears, which it does not if this raises.
 
     Returns: how many cells have a value.
     Raises: OutputError (exists and not ``overwrite``, disk; the file is read back).
@@ -284,6 +286,7 @@ def write_mosaic(
                         )
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"{path}: cannot be written: {error}") from error
+        check(known)
     return known
 
 
