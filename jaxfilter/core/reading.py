@@ -117,7 +117,7 @@ class Reading:
         False
         """
         names = (field.name for field in dataclasses.fields(self))
-        return {name: getattr(self, name) for name in names if name not in ("bounds", "aoi")}
+        return {name: getattr(self, name) for name in names if name not in ("bounds", "aoi", "drop_duplicates")}
 
     @property
     def echoes(self) -> frozenset[str]:
