@@ -120,6 +120,11 @@ def file_cloud(
         if kind == "las" and checksum is None:
             blocks = blocks_of(place, identity, index)
     handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks, rows)
+    return stand_in(source, candidate, handle)
+
+
+def stand_in(source: Source, candidate: np.ndarray, handle: Handle) -> PointCloud:
+    """A cloud of so many points as ``candidate``, bool[n], whose coordinates stay in the file of the handle."""
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)

@@ -22,15 +22,14 @@ from ..files.vectors import SUFFIXES
 from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
-from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
-from .run import survey_of_points
+from .survey import survey_of_points
 from .targets import Targets
-from .tiles import Around, Tile, part_of
+from .tiles import LOCAL, Around, Tile, part_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,12 +85,17 @@ class GroundProduct(Product):
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, into=task.into)
+        write_cloud(task.target, cloud, found, self.classes, additions, **task.how)
 
     @property
     def added(self) -> int:
         """The quantities, f32."""
         return 4 * len(self.extra)
+
+    @property
+    def lists(self) -> list[Path]:
+        """The places to look at, and the outlines of water."""
+        return [path for path in (self.review, self.water.path) if path is not None]
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""

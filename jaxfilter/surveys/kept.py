@@ -17,9 +17,8 @@ from ..files.vectors import write_features
 from ..terrain.levels import WaterRuns, outlines
 from .area import within
 from .collection import Collection, common
-from .product import Product
+from .product import KEPT, Product
 from .report import RunReport
-from .store import KEPT
 from .tiles import Around, Tile
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,15 +27,14 @@ from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
 from .collection import Collection
-from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
+from .product import KEPT
 from .report import RunReport, Summary
-from .run import FIND_GROUND, Survey, open_files
-from .store import KEPT
-from .surroundings import GroundNeeded, GroundSource, source_of_ground
-from .targets import Targets, beside
-from .tiles import Tile
+from .surroundings import FIND_GROUND, GroundNeeded, GroundSource, source_of_ground
+from .survey import Survey, open_files
+from .targets import Targets
+from .tiles import LOCAL, Tile
 
 _CORNER = f"{KEPT}corner"
 _WIDE = f"{KEPT}wide_"
@@ -125,6 +125,11 @@ class RasterProduct(GroundNeeded):
         facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers}
         return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
+    @property
+    def lists(self) -> list[Path]:
+        """The outlines of water."""
+        return [] if self.water.path is None else [self.water.path]
+
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
         assert isinstance(report, TerrainReport)
@@ -141,12 +146,13 @@ class RasterProduct(GroundNeeded):
         known = [self._write(layer, place, report, collection, replace) for layer, place in rasters.items()]
         for layer in self.layers:
             if isinstance(layer, Contours):
-                model = rasters.get(layer.cells)
-                if not isinstance(model, Path):
-                    model = self.store.path / "model.tif"
-                    known.append(self._write(layer.cells, model, report, collection, True))
-                tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
-                write_features(places[layer], tables, layer.NAME, overwrite=replace)
+                with tempfile.TemporaryDirectory(prefix="jaxfilter-", dir=self.store.path) as folder:
+                    model = rasters.get(layer.cells)
+                    if not isinstance(model, Path):
+                        model = Path(folder) / "model.tif"
+                        known.append(self._write(layer.cells, model, report, collection, True))
+                    tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
+                    write_features(places[layer], tables, layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
@@ -239,7 +245,7 @@ def make_rasters(
     if bounds is None and not collection.count:
         raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
-    targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
+    targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None), run)
     return survey.run(
         RasterProduct,

@@ -5,52 +5,66 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..files.classes import Found
-from ..files.disk import Seal
 from ..files.sources import Source
 from ..files.storage import Place
-from ..files.windows import file_cloud
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
-from .store import Store
 from .targets import Targets
-from .tiles import Around, Tile, read_tile
+from .tiles import Around, Tile
 
 CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
+KEPT = "kept_"
+"""What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
+
+
+class Kept(Protocol):
+    """What is found of tiles, until the outputs are written: on disk, or of one small file in memory."""
+
+    @property
+    def path(self) -> Path | None:
+        """A folder for temporary files; None = the system's."""
+
+    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
+        """The points of a tile, see :func:`jaxfilter.surveys.tiles.read_tile`."""
+
+    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was found of the points of a tile; ``names``: those of them that are there."""
+
+    def cloud(
+        self, source: Source, candidate: np.ndarray, bounds: Bounds | None = None, rows: np.ndarray | None = None
+    ) -> PointCloud:
+        """What stands for the points of a file, see :func:`jaxfilter.files.windows.file_cloud`."""
+
+    def discard(self) -> None:
+        """Remove all of it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FileTask:
-    """A file to be written: its number, the tiles that label it, where it goes, and what is written first if it takes the place
-    of an input."""
+    """A file to be written: its number, the tiles that label it, and where it goes.
+
+    ``how``: of ``write_cloud``, whether it may replace a file, or what is written first if it takes the place of an input.
+    """
 
     number: int
     source: Source
     tiles: tuple[int, ...]
     target: Place
-    into: Path | None
-
-    @property
-    def seal(self) -> Seal:
-        """Of what was written, or of the input where nothing had to be."""
-        return Seal.of(written(self.target, self.into))
-
-
-def written(target: Place, into: Path | None) -> Place:
-    """Where the content of an output lies now."""
-    return target if into is None or not into.exists() else into
+    how: dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +86,7 @@ class Product:
     Attributes:
         reading: which points count; where it has ``bounds``, points outside are not there.
         whole: measures of the scene.
-        store: what is kept of the run, in a folder which all processes see.
+        store: what is kept of tiles.
         filter: that finds the ground; None if classes say what it is.
         halo: metres around each tile that the filter sees as well; None = as the filter says.
     """
@@ -80,7 +94,7 @@ class Product:
     REPORT: ClassVar[type[RunReport]] = RunReport
     reading: Reading
     whole: Whole | None
-    store: Store
+    store: Kept
     filter: Filter | None
     halo: float | None
 
@@ -101,13 +115,27 @@ class Product:
         """Bytes that a point of an output has more than the input."""
         return 0
 
+    @property
+    def lists(self) -> list[Path]:
+        """Files that are written besides the outputs."""
+        return []
+
+    def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """Complete the report of a run whose tiles and files are done. Raises: as :meth:`finish`."""
+        report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
+        report.classes = Counter(dict(sorted(report.classes.items())))
+        if self.filter is not None:
+            report.method, report.parameters = type(self.filter).__name__, dataclasses.asdict(self.filter)  # type: ignore[call-overload]
+        report.measures = None if self.whole is None else dataclasses.asdict(self.whole)
+        self.finish(report, collection, targets, options)
+
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Make the one output of all tiles, and complete the report of the run. Raises: InputError, OutputError."""
 
     def read(self, tile: Tile, summary: Summary) -> Around:
         """The points of a tile and its halo; how many they are, and the time, goes into the summary. Raises: InputError."""
         start = time.perf_counter()
-        around = read_tile(tile, self.reading, self.whole, self.store.index)
+        around = self.store.read(tile, self.reading, self.whole)
         summary.seconds["read"] += time.perf_counter() - start
         summary.points, summary.read, summary.unread = len(around.own), len(around.cloud), around.left_out
         return around
@@ -122,8 +150,8 @@ class Product:
 
         Raises: InputError if a point has no label.
         """
-        source, index, reading = task.source, self.store.index, self.reading
-        label, quantities, checksum = gathered(self.store, task, kinds)
+        source, reading = task.source, self.reading
+        label, quantities = gathered(self.store, task, kinds)
         rows = label > 0
         if reading.bounds is not None or reading.aoi is not None:
             label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
@@ -133,10 +161,7 @@ class Product:
                 "holds them: correct the header"
             )
         candidate = (label & CANDIDATE) > 0
-        if reading.aoi is None:
-            cloud = file_cloud(source, candidate, index, bounds=reading.bounds, checksum=checksum)
-        else:  # the checksum is of all points
-            cloud = file_cloud(source, candidate, index, rows=rows)
+        cloud = self.store.cloud(source, candidate, reading.bounds, None if reading.aoi is None else rows)
         return cloud, found_in(label), quantities
 
     @property
@@ -149,23 +174,9 @@ class Product:
         return {}
 
 
-def do_tile(product: Product, tile: Tile) -> Summary:
-    """Work on a tile, and keep what was found of it. Raises: as ``Product.tile``; OutputError."""
-    with collected_warnings() as remarks:
-        arrays, summary = product.tile(tile)
-    summary.remarks.update(remarks)
-    product.store.put(tile.number, arrays, found := summary.as_json())
-    return Summary.of_json(found)
-
-
-def write_file(product: Product, task: FileTask) -> dict[str, Any]:
-    """Write a file: its seal, what was warned of, and seconds. Raises: as ``Product.file``."""
-    start = time.perf_counter()
-    with collected_warnings() as remarks:
-        product.file(task)
-    seal = dataclasses.asdict(task.seal)
-    seconds = time.perf_counter() - start
-    return {"seal": seal, "remarks": list(remarks), "seconds": seconds}
+def sees_lowest(filter_: Filter | None) -> bool:
+    """Whether a filter asks for the elevation of the lowest point of all data."""
+    return lowest_among.dispatch(type(filter_)) is not lowest_among.dispatch(object)
 
 
 def lowest_in_tile(product: Product, tile: Tile) -> float | None:
@@ -175,7 +186,7 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
     """
     assert product.filter is not None
     with collected_warnings():
-        around = read_tile(tile, product.reading, product.whole, product.store.index)
+        around = product.store.read(tile, product.reading, product.whole)
         points = product.filter.points_of(around.cloud)
         if len(points) == 0 or not points.has_area():
             return None
@@ -204,7 +215,6 @@ def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -
         if record[-1] - record[0] == len(record) - 1:
             record = record[:1]  # the first of all that follow it
         arrays[f"record_{one}"], arrays[f"label_{one}"] = record, label[start:stop]
-        arrays[f"checksum_{one}"] = np.array(around.checksums.get(int(one), -1))
         arrays |= {f"{name}_{one}": values[start:stop] for name, values in quantities.items()}
     return arrays
 
@@ -214,22 +224,17 @@ def found_in(label: np.ndarray) -> Found:
     return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
-def gathered(
-    store: Store, task: FileTask, kinds: Mapping[str, type]
-) -> tuple[np.ndarray, dict[str, np.ndarray], int | None]:
-    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and the checksum of the points, if
-    they were read in one piece."""
-    checksum = -1
+def gathered(store: Kept, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities."""
     label = np.zeros(task.source.count, np.uint8)
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = store.arrays(number)
         if f"record_{task.number}" not in stored:
             continue
-        checksum = int(stored[f"checksum_{task.number}"])
         found, record = stored[f"label_{task.number}"], stored[f"record_{task.number}"]
         rows = record if len(record) == len(found) else slice(record[0], record[0] + len(found))
         label[rows] = found | np.uint8(_STORED)
         for name, values in quantities.items():
             values[rows] = stored[f"{name}_{task.number}"]
-    return label, quantities, None if checksum < 0 else checksum
+    return label, quantities

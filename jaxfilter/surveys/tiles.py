@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,26 @@ from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS
 from ..core.reading import Reading
+from ..core.result import Progress, silent
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
 from .area import within
 from .collection import common
+
+WHOLE = 8_000_000
+"""Points of all data up to which they are one tile."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Local:
+    """What the tile that is done now may use: threads (None = one per processor), and a callback for progress."""
+
+    threads: int | None = 1
+    progress: Progress = silent
+
+
+LOCAL: ContextVar[Local] = ContextVar("LOCAL", default=Local())  # noqa: B039
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +68,6 @@ class Around:
         file: i32[n], the number of the file; record: i64[n], the record in it.
         core: bool[n], points that the tile labels.
         left_out: files that could not be read: number, and reason.
-        checksums: of the coordinates of files that were read in one piece.
     """
 
     cloud: PointCloud
@@ -60,7 +75,6 @@ class Around:
     record: np.ndarray
     core: np.ndarray
     left_out: dict[int, str]
-    checksums: dict[int, int]
 
     @property
     def own(self) -> np.ndarray:
@@ -72,7 +86,7 @@ _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
 
 
-def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, keep: bool = False) -> Around:
+def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None, keep: bool = False) -> Around:
     """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
 
     What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With ``keep``
@@ -88,10 +102,9 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
     return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole, core=tile.core))
 
 
-def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
+def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     left_out: dict[int, str] = {}
-    checksums: dict[int, int] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
         box = _box(tile.window, reading.bounds, source)
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
@@ -104,8 +117,6 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             left_out[number] = str(error)
             continue
         cloud, record = window.cloud, window.record
-        if tile.window is None and cloud.source.checksum is not None:
-            checksums[number] = cloud.source.checksum
         there = inside(cloud, tile.window)
         if not there.all():
             cloud, record = part_of(cloud, there), record[there]
@@ -119,7 +130,7 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             records.append(record)
     file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
     cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
-    return Around(cloud, file, record, core, left_out, checksums)
+    return Around(cloud, file, record, core, left_out)
 
 
 def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:
