@@ -233,29 +233,6 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
 
 
-def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(survey, tmp_path):
-    """What kill -9 leaves: the folder of the run, with a tile that is done, and a half-written output."""
-    out, store = tmp_path / "west.las", tmp_path / ".west.las.jaxfilter-run"
-    left = tmp_path / "left"
-
-    class Watched(Here):
-        def completed(self, seconds):
-            found = super().completed(seconds)
-            if self.calls[-1][0] == "do_tile":
-                shutil.copytree(store, left)
-            return found
-
-    jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=Watched()))
-    expected = out.read_bytes()
-    for how in ({}, {"overwrite": True}, {"resume": True}):
-        out.unlink()
-        shutil.copytree(left, store)
-        executor = Here()
-        assert jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=executor, **how)).complete
-        assert out.read_bytes() == expected and not store.exists()
-        assert ("do_tile", 0) not in executor.calls or "resume" not in how
-
-
 def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):
     path = shutil.copy(survey / "west.las", tmp_path)
     for function in (jf.ground, jf.heights):
@@ -324,11 +301,11 @@ def in_folder(survey, d, name=""):
 
 
 RUNS = {
-    "one": (".out.laz.jaxfilter-run", lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"]),
-    "folder": (".jaxfilter-run", lambda survey, d: ["ground", "pmf", survey, f"{d}/"]),
-    "one in place": (".west.las.jaxfilter-run", lambda survey, d: in_folder(survey, d, "west.las")),
-    "folder in place": (".jaxfilter-run", in_folder),
-}  # fmt: skip
+    "one": lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"],
+    "folder": lambda survey, d: ["ground", "pmf", survey, f"{d}/"],
+    "one in place": lambda survey, d: in_folder(survey, d, "west.las"),
+    "folder in place": in_folder,
+}
 
 
 def of_another(place, folder):
@@ -360,14 +337,13 @@ KINDS = {
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
 @pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("what", RUNS)
+@pytest.mark.parametrize("what", ["folder", "folder in place"])
 def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, what, kind, how):
     """Whatever it is, it stays, and so does what it leads to."""
-    name, words = RUNS[what]
-    d, (folder, content) = tmp_path / "d", elsewhere
+    d, name, (folder, content) = tmp_path / "d", ".jaxfilter-run", elsewhere
     d.mkdir()
     KINDS[kind](d / name, folder)
-    command = words(survey, d)
+    command = RUNS[what](survey, d)
     before, beside = content(), held(d)
     done = run(*command, *filter(None, [how]))
     assert done.exit_code in (1, 2) and f"{d / name}: " in done.stderr and "remove it" in done.stderr, done.output
@@ -375,7 +351,7 @@ def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tm
 
 
 @pytest.mark.parametrize("words", [
-    RUNS["one"][1], RUNS["one in place"][1], lambda survey, d: ["info", survey, "--vpc", d / "all.vpc"],
+    RUNS["one"], RUNS["one in place"], lambda survey, d: ["info", survey, "--vpc", d / "all.vpc"],
 ], ids=["one", "one in place", "points"])  # fmt: skip
 def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp_path, elsewhere, words):
     d, (folder, content) = tmp_path / "d", elsewhere
