@@ -94,37 +94,22 @@ def read_window(
 
 
 def file_cloud(
-    source: Source,
-    candidate: np.ndarray,
-    index: Path | None = None,
-    *,
-    bounds: Bounds | None = None,
-    rows: np.ndarray | None = None,
-    checksum: int | None = None,
+    source: Source, candidate: np.ndarray, *, bounds: Bounds | None = None, rows: np.ndarray | None = None
 ) -> PointCloud:
     """A cloud that stands for the points of a file when they are written, and whose coordinates stay in the file.
 
     Args:
         candidate: bool[n], of the points of the file inside ``bounds``, or of its ``rows``, in its order.
         bounds: points outside are not written; None = all are. rows: bool of all points of a LAS file; others are not written.
-        checksum: what ``cloud.source.checksum`` of these points was when they were read in one piece: writing refuses others.
-            By default the runs of records are known by their checksums in the ``index``.
 
     Raises: InputError if the file has changed since the source was made.
     """
-    place, kind, blocks = source.place, "text" if source.format == "text" else "las", None
+    place, kind = source.place, "text" if source.format == "text" else "las"
     with reading_errors(place):
         identity = Identity.of(place)
         file = kept_text(cast(Path, place)) if kind == "text" else _opened(place, identity).header
         _check_identity(source, file)
-        if kind == "las" and checksum is None:
-            blocks = blocks_of(place, identity, index)
-    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks, rows)
-    return stand_in(source, candidate, handle)
-
-
-def stand_in(source: Source, candidate: np.ndarray, handle: Handle) -> PointCloud:
-    """A cloud of so many points as ``candidate``, bool[n], whose coordinates stay in the file of the handle."""
+    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, None, None, rows)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)

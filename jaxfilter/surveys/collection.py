@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import array
 import dataclasses
 import functools
 import glob
-import itertools
 import math
 import operator
 import os
@@ -34,8 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
-_ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
-_ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
 Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
@@ -56,36 +52,29 @@ class Collection:
     def __init__(
         self, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
     ) -> None:
-        columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
-        columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
-        add = [column.extend if name in _ROWS else column.append for name, column in columns.items()]
-        values = operator.attrgetter(*columns)
-        for source in sources:
-            for put, value in zip(add, values(source), strict=True):
-                put(value)
-        for name in _ARRAYS:
-            columns[name] = np.array(columns[name])
-        for name, width in _ROWS.items():
-            columns[name] = columns[name].reshape(-1, width)
-        self._columns = columns
-        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)  # complete when all sources have been made
+        self._sources = tuple(sources)
+        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)
+
+    @functools.cached_property
+    def _columns(self) -> dict[str, Any]:
+        """Values of all sources by the name of the field."""
+        columns: dict[str, Any] = {}
+        for field in dataclasses.fields(Source):
+            columns[field.name] = list(map(operator.attrgetter(field.name), self._sources))
+        return columns
 
     def __len__(self) -> int:
-        return len(self._columns["uri"])
+        return len(self._sources)
 
     @overload
     def __getitem__(self, row: int) -> Source: ...
     @overload
     def __getitem__(self, row: slice) -> tuple[Source, ...]: ...
     def __getitem__(self, row: int | slice) -> Source | tuple[Source, ...]:
-        if isinstance(row, slice):
-            return tuple(self[i] for i in range(*row.indices(len(self))))
-        values = {name: column[row] for name, column in self._columns.items()}
-        plain = {name: values[name].tolist() for name in _ARRAYS}
-        return Source(**values | plain | {name: tuple(plain[name]) for name in _ROWS})
+        return self._sources[row]
 
     def __iter__(self) -> Iterator[Source]:
-        return (self[i] for i in range(len(self)))
+        return iter(self._sources)
 
     def __repr__(self) -> str:
         return f"Collection({len(self)} files, {self.count} points)"
@@ -108,23 +97,23 @@ class Collection:
         """
         return self._columns["uri"]
 
-    @property
+    @functools.cached_property
     def footprints(self) -> np.ndarray:
         """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points.
 
         >>> jf.open("survey", units="m").footprints.shape
         (2, 4)
         """
-        return self._columns["bounds"]
+        return np.array(self._columns["bounds"], np.float64).reshape(-1, 4)
 
-    @property
+    @functools.cached_property
     def counts(self) -> np.ndarray:
         """i64[n]: points of each file.
 
         >>> int(jf.open("survey", units="m").counts.sum()) == len(cloud)
         True
         """
-        return self._columns["count"]
+        return np.array(self._columns["count"], np.int64)
 
     @property
     def bounds(self) -> Bounds:
@@ -266,7 +255,7 @@ class Collection:
         crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
         with np.errstate(divide="ignore", invalid="ignore"):
             density = np.where(self.areas > 0, self.counts / self.areas, np.nan)
-        edges = np.column_stack([c["bounds"], c["z"]])
+        edges = np.column_stack([self.footprints, np.array(c["z"]).reshape(-1, 2)])
         return pd.DataFrame(
             {"uri": c["uri"], "format": c["format"], "points": self.counts}
             | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
@@ -339,10 +328,21 @@ def open(
     listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
     if not listed:
         raise InputError("no files are named")
-    entries = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed)
+    entries: dict[str, Entry] = {}
+    repeated: list[str] = []
+    for one in listed:
+        for entry in _expanded(os.fspath(one), stated):
+            uri = entry.uri if isinstance(entry, Source) else entry
+            if uri in entries:
+                repeated.append(uri)
+            entries.setdefault(uri, entry)
+    sources: list[Source] = []
     unreadable: list[tuple[str, str]] = []
-    repeated: dict[str, None] = {}
-    collection = Collection(_read(entries, stated, unreadable, repeated), unreadable, repeated)
+    read = iter(_described([entry for entry in entries.values() if isinstance(entry, str)], stated))
+    for entry in entries.values():
+        found = next(read) if isinstance(entry, str) else entry
+        sources.append(found) if isinstance(found, Source) else unreadable.append(found)
+    collection = Collection(sources, unreadable, dict.fromkeys(repeated))
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
@@ -384,32 +384,17 @@ def _is_member(path: Path, asked: str = "") -> bool:
     return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
 
 
-def _read(
-    entries: Iterator[Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
-) -> Iterator[Source]:
-    """The sources of entries in their order; the headers of some are read at the same time."""
-    seen: set[str] = set()
+def _described(names: list[str], stated: Stated) -> Iterable[Source | tuple[str, str]]:
+    """The sources of files in their order, or the name and why there is none; several headers are read at the same time."""
+    described = functools.partial(_source_of, stated=stated)
+    if len(names) < 2:
+        return map(described, names)
     with ThreadPoolExecutor(_THREADS) as pool:
-        while batch := list(itertools.islice(entries, 64 * _THREADS)):
-            new: list[Entry] = []
-            for entry in batch:
-                uri = entry.uri if isinstance(entry, Source) else entry
-                if uri in seen:
-                    repeated[uri] = None
-                else:
-                    seen.add(uri)
-                    new.append(entry)
-            read = pool.map(lambda uri: _described(uri, stated), [entry for entry in new if isinstance(entry, str)])
-            for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
-                if isinstance(found, Source):
-                    yield found
-                else:
-                    unreadable.append(found)
+        return pool.map(described, names)
 
 
-def _described(uri: str, stated: Stated) -> Source | tuple[str, str]:
-    """The source, or the name and why there is none."""
+def _source_of(name: str, stated: Stated) -> Source | tuple[str, str]:
     try:
-        return describe_file(place_of(uri), stated)
+        return describe_file(place_of(name), stated)
     except InputError as error:
-        return uri, str(error)
+        return name, str(error)

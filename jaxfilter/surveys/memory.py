@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.cloud import PointCloud, Whole
-from ..core.reading import Bounds, Reading
+from ..core.cloud import Whole
+from ..core.reading import Reading
 from ..files.disk import is_there
-from ..files.sources import Source
-from ..files.windows import stand_in
 from .area import meeting
 from .measures import whole_of
 from .options import check_memory
@@ -35,17 +33,13 @@ class Memory:
     def __init__(self) -> None:
         self.found: dict[str, np.ndarray] = {}
         self._around: Around | None = None
-        self._handle: Any = None
 
     def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
         """The points of the file, which are read once."""
-        around = self._around or read_tile(tile, reading, None, None)
-        self._around, self._handle = around, around.cloud.source
-        return (
-            around
-            if whole is None
-            else dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
-        )
+        around = self._around = self._around or read_tile(tile, reading, None, None)
+        if whole is None:
+            return around
+        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
 
     def put(self, arrays: dict[str, np.ndarray]) -> None:
         """Keep what was found of the points, and let go of these."""
@@ -54,13 +48,6 @@ class Memory:
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points; ``names``: those of it that are there."""
         return self.found if names is None else {name: self.found[name] for name in names if name in self.found}
-
-    def cloud(
-        self, source: Source, candidate: np.ndarray, bounds: Bounds | None = None, rows: np.ndarray | None = None
-    ) -> PointCloud:
-        """What stands for the points when they are written; the file must be the one that was read."""
-        handle = dataclasses.replace(self._handle, points=len(candidate), rows=rows)
-        return stand_in(source, candidate, handle)
 
     def discard(self) -> None:
         """Nothing is kept."""
@@ -105,8 +92,6 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
         show(standing)
         if product.writes_files and wanted and (tiles or not targets.in_place):
             begun = time.perf_counter()
-            if not tiles:
-                store.read(tile, reading, None)
             with collected_warnings() as remarks:
                 how = {"overwrite": replaced, "in_place": targets.in_place}
                 product.file(FileTask(0, source, tiles, targets.places[0], how))

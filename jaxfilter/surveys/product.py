@@ -15,10 +15,11 @@ import numpy as np
 from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
-from ..core.reading import Bounds, Reading
+from ..core.reading import Reading
 from ..files.classes import Found
 from ..files.sources import Source
 from ..files.storage import Place
+from ..files.windows import file_cloud
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
@@ -43,11 +44,6 @@ class Kept(Protocol):
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there."""
-
-    def cloud(
-        self, source: Source, candidate: np.ndarray, bounds: Bounds | None = None, rows: np.ndarray | None = None
-    ) -> PointCloud:
-        """What stands for the points of a file, see :func:`jaxfilter.files.windows.file_cloud`."""
 
     def discard(self) -> None:
         """Remove all of it."""
@@ -161,7 +157,10 @@ class Product:
                 "holds them: correct the header"
             )
         candidate = (label & CANDIDATE) > 0
-        cloud = self.store.cloud(source, candidate, reading.bounds, None if reading.aoi is None else rows)
+        if reading.aoi is None:
+            cloud = file_cloud(source, candidate, bounds=reading.bounds)
+        else:
+            cloud = file_cloud(source, candidate, rows=rows)
         return cloud, found_in(label), quantities
 
     @property

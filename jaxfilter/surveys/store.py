@@ -22,12 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import PointCloud, Whole
+from ..core.cloud import Whole
 from ..core.errors import DAMAGED, InputError, OutputError
-from ..core.reading import Bounds, Reading
+from ..core.reading import Reading
 from ..files.disk import check_own, empty, entered, open_lock, output_errors, sync, try_lock
-from ..files.sources import Source
-from ..files.windows import file_cloud
 from .product import KEPT
 from .tiles import Around, Tile, read_tile
 
@@ -151,12 +149,6 @@ class Store:
     def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
         """The points of a tile and its halo, see :func:`jaxfilter.surveys.tiles.read_tile`."""
         return read_tile(tile, reading, whole, self.index)
-
-    def cloud(
-        self, source: Source, candidate: np.ndarray, bounds: Bounds | None = None, rows: np.ndarray | None = None
-    ) -> PointCloud:
-        """What stands for the points of a file when they are written, see :func:`jaxfilter.files.windows.file_cloud`."""
-        return file_cloud(source, candidate, self.index, bounds=bounds, rows=rows)
 
     def tile(self, number: int) -> Path:
         """Where the file of a tile is."""

@@ -24,6 +24,7 @@ from ..files.classes import Classes, Finding, Found
 from ..files.disk import Seal, check_suffix, new_file, remove_dead
 from ..files.storage import Remote, place_of
 from ..files.vectors import SUFFIXES
+from ..files.windows import file_cloud
 from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
@@ -167,7 +168,7 @@ class VerdictProduct(Product):
         """Write a file whose points have changed. Raises: InputError, OutputError."""
         label, _ = gathered(self.store, task, {})
         if label.any():
-            cloud = self.store.cloud(task.source, (label & CANDIDATE) > 0)
+            cloud = file_cloud(task.source, (label & CANDIDATE) > 0)
             write_cloud(task.target, cloud, found_in(label), self.classes, **task.how)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
