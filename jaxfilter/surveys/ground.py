@@ -92,11 +92,6 @@ class GroundProduct(Product):
         """The quantities, f32."""
         return 4 * len(self.extra)
 
-    @property
-    def lists(self) -> list[Path]:
-        """The places to look at, and the outlines of water."""
-        return [path for path in (self.review, self.water.path) if path is not None]
-
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
         list_places(self, report, collection, self.review, options.overwrite or options.resume)

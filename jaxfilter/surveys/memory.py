@@ -5,52 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.reading import Reading
 from ..files.disk import is_there
 from .area import meeting
 from .measures import whole_of
 from .options import check_memory
 from .product import FileTask, Product, lowest_in_tile, sees_lowest
 from .report import REPORT, RunReport, Standing, collected_warnings
-from .tiles import LOCAL, Around, Local, Tile, read_tile
+from .tiles import LOCAL, Local, Memory, Tile
 
 if TYPE_CHECKING:
     from .survey import Survey
-
-
-class Memory:
-    """What is found of the one tile of a small file; see :class:`jaxfilter.surveys.product.Kept`."""
-
-    path: Path | None = None
-
-    def __init__(self) -> None:
-        self.found: dict[str, np.ndarray] = {}
-        self._around: Around | None = None
-
-    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
-        """The points of the file, which are read once."""
-        around = self._around = self._around or read_tile(tile, reading, None, None)
-        if whole is None:
-            return around
-        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
-
-    def put(self, arrays: dict[str, np.ndarray]) -> None:
-        """Keep what was found of the points, and let go of these."""
-        self.found, self._around = arrays, None
-
-    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """What was found of the points; ``names``: those of it that are there."""
-        return self.found if names is None else {name: self.found[name] for name in names if name in self.found}
-
-    def discard(self) -> None:
-        """Nothing is kept."""
 
 
 def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
@@ -58,7 +27,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
     files, targets, options, reading = survey.collection, survey.targets, survey.options, survey.reading
     store, start, replaced = Memory(), time.perf_counter(), options.overwrite or options.resume
     product = kind(reading, None, store, None, options.halo, **settings)
-    made = [*targets.places, *product.lists, *([] if targets.folder is None else [targets.folder / REPORT])]
+    made = [*targets.places, *([] if targets.folder is None else [targets.folder / REPORT])]
     if options.resume and not options.overwrite and not targets.in_place and all(map(is_there, made)):
         return kind.REPORT(files=[str(place) for place in targets.places], was_complete=True)
     targets.check(options)
@@ -82,7 +51,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
                     arrays, summary = product.tile(tile)
             finally:
                 LOCAL.reset(before)
-            store.put(arrays)
+            store.put(0, arrays, {})
             summary.remarks.update(remarks)
             report.add(summary)
             if summary.points:
@@ -90,6 +59,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
             standing.points, standing.read = summary.points, summary.read
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
+        product.complete(report, files, targets, options)
         if product.writes_files and wanted and (tiles or not targets.in_place):
             begun = time.perf_counter()
             with collected_warnings() as remarks:
@@ -98,7 +68,6 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
             report.remarks.update(remarks)
             report.files.append(str(targets.places[0]))
             report.seconds["write"] += time.perf_counter() - begun
-        product.complete(report, files, targets, options)
         report.elapsed = time.perf_counter() - start
         if targets.folder is not None:
             report.put_into(targets.folder)

@@ -125,11 +125,6 @@ class RasterProduct(GroundNeeded):
         facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers}
         return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
-    @property
-    def lists(self) -> list[Path]:
-        """The outlines of water."""
-        return [] if self.water.path is None else [self.water.path]
-
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
         assert isinstance(report, TerrainReport)

@@ -6,9 +6,8 @@ import dataclasses
 import itertools
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,29 +23,12 @@ from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
 from .targets import Targets
-from .tiles import Around, Tile
+from .tiles import Around, Memory, Tile
 
 CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
 KEPT = "kept_"
 """What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
-
-
-class Kept(Protocol):
-    """What is found of tiles, until the outputs are written: on disk, or of one small file in memory."""
-
-    @property
-    def path(self) -> Path | None:
-        """A folder for temporary files; None = the system's."""
-
-    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
-        """The points of a tile, see :func:`jaxfilter.surveys.tiles.read_tile`."""
-
-    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """What was found of the points of a tile; ``names``: those of them that are there."""
-
-    def discard(self) -> None:
-        """Remove all of it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +72,7 @@ class Product:
     REPORT: ClassVar[type[RunReport]] = RunReport
     reading: Reading
     whole: Whole | None
-    store: Kept
+    store: Memory
     filter: Filter | None
     halo: float | None
 
@@ -111,13 +93,8 @@ class Product:
         """Bytes that a point of an output has more than the input."""
         return 0
 
-    @property
-    def lists(self) -> list[Path]:
-        """Files that are written besides the outputs."""
-        return []
-
     def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Complete the report of a run whose tiles and files are done. Raises: as :meth:`finish`."""
+        """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
         report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
         report.classes = Counter(dict(sorted(report.classes.items())))
         if self.filter is not None:
@@ -223,7 +200,7 @@ def found_in(label: np.ndarray) -> Found:
     return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
-def gathered(store: Kept, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def gathered(store: Memory, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities."""
     label = np.zeros(task.source.count, np.uint8)
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}

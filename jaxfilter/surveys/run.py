@@ -246,7 +246,6 @@ def do_tile(product: Product, tile: Tile) -> Summary:
     with collected_warnings() as remarks:
         arrays, summary = product.tile(tile)
     summary.remarks.update(remarks)
-    assert isinstance(product.store, Store)
     product.store.put(tile.number, arrays, found := summary.as_json())
     return Summary.of_json(found)
 

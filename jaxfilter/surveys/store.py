@@ -27,7 +27,7 @@ from ..core.errors import DAMAGED, InputError, OutputError
 from ..core.reading import Reading
 from ..files.disk import check_own, empty, entered, open_lock, output_errors, sync, try_lock
 from .product import KEPT
-from .tiles import Around, Tile, read_tile
+from .tiles import Around, Memory, Tile, read_tile
 
 RUN, DONE = "run.json", "done.json"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
@@ -35,13 +35,15 @@ NEW = ".jaxfilter-new-"
 """Begins the names of folders of files that are to take the places of inputs."""
 
 
-class Store:
+class Store(Memory):
     """The folder of a run. One process at a time has it; others may add files of tiles.
 
     Attributes:
         path: of the folder. Raises: OutputError for one that no run of this user has made.
         facts: what decides on the outcome, and what was found out on the way.
     """
+
+    path: Path
 
     def __init__(self, path: Path) -> None:
         self.path = path

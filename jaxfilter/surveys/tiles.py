@@ -7,7 +7,7 @@ and again, with the same outcome.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,39 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path | N
     if whole is None and tile.core is None:
         return around  # the same cloud again: what is known of its order and spacing need not be found out anew
     return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole, core=tile.core))
+
+
+class Memory:
+    """What is found of the one tile of a small file, until its outputs are written.
+
+    Attributes:
+        path: a folder for temporary files; None = the system's.
+    """
+
+    path: Path | None = None
+
+    def __init__(self) -> None:
+        self._found: dict[str, np.ndarray] = {}
+        self._around: Around | None = None
+
+    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
+        """The points of a tile, see :func:`read_tile`; here they are read once."""
+        around = self._around = self._around or read_tile(tile, reading, None, None)
+        if whole is None:
+            return around
+        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
+
+    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
+        """Keep what was found of the points of a tile, and let go of these."""
+        self._found, self._around = dict(arrays), None
+
+    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was found of the points of a tile; ``names``: those of it that are there."""
+        return self._found if names is None else {name: self._found[name] for name in names if name in self._found}
+
+    def discard(self) -> None:
+        """Remove all that is kept."""
+        self._found = {}
 
 
 def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None) -> Around:
