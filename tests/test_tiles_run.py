@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import re
 import shutil
-import struct
 import subprocess
 import sys
 
@@ -239,36 +238,6 @@ def test_inputs_that_have_changed_are_noticed(files, tmp_path):
     with pytest.raises(jf.InputError, match="begun with other inputs"):
         run(survey, tmp_path / "out", resume=True)
     assert run(survey, tmp_path / "out", overwrite=True).complete
-
-
-@pytest.mark.parametrize("name, change", [
-    *[pytest.param("01.las", change, marks=pytest.mark.slow) for change in ("order", "a bit")],
-    ("01.laz", "a bit"), ("01.copc.laz", "a bit"),
-])  # fmt: skip
-def test_points_that_change_behind_a_stopped_run_are_noticed(files, tmp_path, name, change):
-    """Size, header and time stay. No file is written with labels of points that it does not hold."""
-    survey, out = tmp_path / "survey", tmp_path / "out"
-    shutil.copytree(files, survey)
-    (survey / "01.laz").unlink()
-    jf.write(survey / name, jf.read(files / "01.laz"), None)
-    with pytest.raises(KeyboardInterrupt):
-        run(survey, out, Here(3, stop_after=5), tile=50.0)
-    before, data = (survey / name).stat(), bytearray((survey / name).read_bytes())
-    length, start = struct.unpack_from("<H", data, 105)[0], struct.unpack_from("<I", data, 96)[0]
-    if change == "order":
-        points = np.frombuffer(data, np.uint8, offset=start).reshape(-1, length)
-        points[:] = points[::-1].copy()
-    else:  # of the first point, which is not compressed
-        data[start + 8 * (name != "01.las")] ^= 1
-    (survey / name).write_bytes(data)
-    os.utime(survey / name, ns=(before.st_atime_ns, before.st_mtime_ns))
-    changed = rf"{name}: the file has changed since its points were first read; .* overwrite=True"
-    report = run(survey, out, resume=True, tile=50.0)
-    assert [re.search(changed, one["reason"]) is not None for one in report.failed] == [True]
-    assert not report.complete and sorted(contents(out)) == ["00.laz", "10.laz", "11.laz"]
-    assert run(survey, out, overwrite=True, tile=50.0).complete
-    run(survey, tmp_path / "fresh", tile=50.0)
-    assert contents(out) == contents(tmp_path / "fresh")
 
 
 def test_outputs_that_are_gone_or_damaged_are_made_again_and_named(files, done, tmp_path):
