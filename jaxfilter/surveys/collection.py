@@ -24,10 +24,11 @@ from ..files.sources import Source, describe_file
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
-from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .findings import Findings, Footprints
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -154,7 +155,7 @@ class Collection:
         >>> print(jf.open("survey", units="m").crs)
         None
         """
-        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        self._refuse_mixture()
         stated = next((w for w in self._columns["wkt"] if w is not None), None)
         return None if stated is None else pyproj.CRS.from_wkt(stated)
 
@@ -165,7 +166,7 @@ class Collection:
         >>> jf.open("survey", units="m").units.name
         'metre'
         """
-        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        self._refuse_mixture()
         return self._columns["units"][0]
 
     @property
@@ -202,8 +203,17 @@ class Collection:
             raise InputError(f"bounds={box}: none of the {len(self):,} files has points there")
         return Collection(sources, self.unreadable, self.repeated)
 
+    def _refuse_mixture(self) -> None:
+        """Raises: InputError if files differ in CRS or units."""
+        if len(self) > 1:
+            from .findings import refuse_mixture
+
+            refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+
     @functools.cached_property
     def _index(self) -> Footprints:
+        from .findings import Footprints
+
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
@@ -221,10 +231,12 @@ class Collection:
         >>> findings.overlaps, findings.gaps, len(findings.no_crs)
         ((), (), 2)
         """
+        from .findings import OVERLAP, Findings
+
         uris, counts, bounds = self.uris, self.counts, self.footprints
-        wkts, units = self._columns["wkt"], self._columns["units"]
+        wkts = self._columns["wkt"]
         try:
-            refuse_mixture(uris, wkts, units)
+            self._refuse_mixture()
             mixed = None
         except InputError as error:
             mixed = str(error)
@@ -271,6 +283,7 @@ class Collection:
         1.0
         """
         from ..plots import footprints
+        from .findings import OVERLAP
 
         pairs, _ = self._index.overlaps(OVERLAP)
         gaps, label = self._index.holes(), "points per m2"

@@ -22,7 +22,6 @@ from ..core.result import Progress, silent
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
-from .area import within
 from .collection import common
 
 WHOLE = 8_000_000
@@ -157,6 +156,8 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None)
             clouds.append(cloud)
             own = inside(cloud, tile.core)
             if reading.aoi is not None:
+                from .area import within
+
                 own &= within(reading.aoi, *cloud.coordinates()[:, :2].T)
             cores.append(own)
             numbers.append(number)
