@@ -11,7 +11,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
@@ -36,6 +36,7 @@ class Claim(Targets):
         store: what the run keeps.
     """
 
+    GO_ON: ClassVar = "pass resume=True to go on with a run, "
     store: Store
 
     @contextlib.contextmanager

@@ -130,8 +130,8 @@ def ground(
     """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
 
     Every file is written as it was, with classes changed, when all its points have labels. What is large goes in tiles that see
-    their surroundings, across files. A folder beside the output holds what is done, so that a run that was stopped, in whatever
-    way, goes on with ``resume``; the files are those of an undisturbed run.
+    their surroundings, across files. A folder beside the output holds what is done of tiles, so that a run that was stopped, in
+    whatever way, goes on with ``resume``; the files are those of an undisturbed run.
 
     Args:
         what: a file, a :class:`Collection`, or what :func:`jaxfilter.open` takes.

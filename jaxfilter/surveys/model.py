@@ -191,8 +191,8 @@ def terrain_model(
 ) -> TerrainReport:
     """Make one terrain model of a file or of a collection, and write it as a Cloud Optimized GeoTIFF.
 
-    Tiles lie in a hidden folder beside ``target`` until the model is complete, so that a run that was stopped, in whatever way,
-    goes on with ``resume``.
+    Tiles of large data lie in a hidden folder beside ``target`` until the model is complete, so that a run that was stopped, in
+    whatever way, goes on with ``resume``.
 
     Args:
         what: as in :func:`jaxfilter.ground`.

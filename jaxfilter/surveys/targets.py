@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ..core.errors import JaxfilterError, OutputError, ParameterError
 from ..files.disk import is_there, output_errors
@@ -34,6 +34,8 @@ class Targets:
         called: begins the name of the folder in which a run keeps what it needs; by default the name of the first output does.
     """
 
+    GO_ON: ClassVar = ""
+    """What else can be done where the folder holds something, in a message."""
     places: list[Place]
     folder: Place | None = None
     in_place: bool = False
@@ -53,8 +55,8 @@ class Targets:
         if held and not replaced:
             first, more = held[0], f" and {len(held) - 1} more" if len(held) > 1 else ""
             raise OutputError(
-                f"{folder}: is not empty, it holds {first}{more}: name another folder, pass resume=True to go on with a "
-                "run, or pass overwrite=True to begin anew"
+                f"{folder}: is not empty, it holds {first}{more}: name another folder, {self.GO_ON}or pass overwrite=True to "
+                "begin anew"
             )
         if isinstance(folder, Remote):
             check_writable(folder / REPORT)
