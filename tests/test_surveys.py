@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -231,6 +233,34 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
     assert in_place(files, resume=True, executor=executor).complete
     assert las_of_folder(files) == las_of_folder(out) and len(list(files.iterdir())) == 2
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
+
+
+def test_a_small_file_goes_through_memory(survey, tmp_path):
+    """What it has no use for is not loaded; nothing lies beside the output; its labels are those of a run in tiles."""
+    code = """
+import sys, jaxfilter as jf
+made = []
+sys.addaudithook(lambda event, found: made.append(str(found[0])) if event == "os.mkdir" else None)
+jf.ground(sys.argv[1], sys.argv[2], jf.PMF(max_window=10.0))
+print(sum("jaxfilter-run" in name for name in made))
+print([name for name in ("run", "plan", "store", "claim", "executors", "vpc") if f"jaxfilter.surveys.{name}" in sys.modules])
+"""
+    source, out = survey / "west.las", tmp_path / "out" / "west.las"
+    out.parent.mkdir()
+    done = subprocess.run([sys.executable, "-c", code, source, out], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["0", "[]"] and os.listdir(out.parent) == ["west.las"]
+    filter_ = jf.PMF(max_window=10.0)
+    tiled = jf.ground(source, tmp_path / "tiled.las", filter_, run=jf.RunOptions(tile=1000.0, workers=1))
+    assert tiled.tiles == 1 and out.read_bytes() == (tmp_path / "tiled.las").read_bytes()
+    before = out.stat().st_mtime_ns
+    again = jf.ground(source, out, filter_, run=jf.RunOptions(resume=True))
+    assert again.was_complete and out.stat().st_mtime_ns == before
+    shutil.copy(source, tmp_path / "in.las")
+    for how in ({}, {"resume": True}):  # the labels are the same ones again
+        executor = Here()
+        run = jf.RunOptions(in_place=True, executor=executor, **how)
+        assert jf.ground(tmp_path / "in.las", None, filter_, run=run).complete and executor.calls == []
+        assert (tmp_path / "in.las").read_bytes() == out.read_bytes()
 
 
 def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):

@@ -150,6 +150,22 @@ class Product:
         return {}
 
 
+def done_tile(product: Product, tile: Tile) -> tuple[Summary, dict[str, np.ndarray]]:
+    """Work on a tile: a summary with what was warned of, and arrays. Raises: as ``Product.tile``."""
+    with collected_warnings() as remarks:
+        arrays, summary = product.tile(tile)
+    summary.remarks.update(remarks)
+    return summary, arrays
+
+
+def done_file(product: Product, task: FileTask) -> tuple[float, list[str]]:
+    """Write a file: seconds, and what was warned of. Raises: as ``Product.file``."""
+    start = time.perf_counter()
+    with collected_warnings() as remarks:
+        product.file(task)
+    return time.perf_counter() - start, remarks
+
+
 def sees_lowest(filter_: Filter | None) -> bool:
     """Whether a filter asks for the elevation of the lowest point of all data."""
     return lowest_among.dispatch(type(filter_)) is not lowest_among.dispatch(object)

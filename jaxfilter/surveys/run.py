@@ -35,7 +35,7 @@ from .executors import Executor, Outcome, Task, carried_out
 from .measures import Recipe, Sampler, middle, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Plan, plan_boxes, plan_tiles
-from .product import Cut, FileTask, Product, lowest_in_tile, sees_lowest
+from .product import Cut, FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
 from .report import Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .survey import Survey
@@ -243,21 +243,16 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
 
 def do_tile(product: Product, tile: Tile) -> Summary:
     """Work on a tile, and keep what was found of it. Raises: as ``Product.tile``; OutputError."""
-    with collected_warnings() as remarks:
-        arrays, summary = product.tile(tile)
-    summary.remarks.update(remarks)
+    summary, arrays = done_tile(product, tile)
     product.store.put(tile.number, arrays, found := summary.as_json())
     return Summary.of_json(found)
 
 
 def write_file(product: Product, task: FileTask) -> dict[str, Any]:
     """Write a file: its seal, what was warned of, and seconds. Raises: as ``Product.file``."""
-    start = time.perf_counter()
-    with collected_warnings() as remarks:
-        product.file(task)
+    seconds, remarks = done_file(product, task)
     seal = dataclasses.asdict(Seal.of(written(task.target, task.how["into"])))
-    seconds = time.perf_counter() - start
-    return {"seal": seal, "remarks": list(remarks), "seconds": seconds}
+    return {"seal": seal, "remarks": remarks, "seconds": seconds}
 
 
 def written(target: Place, into: Path | None) -> Place:

@@ -24,8 +24,8 @@ from .collection import Collection
 from .collection import open as open_collection
 from .measures import Recipe, whole_of
 from .options import RunOptions, check_memory
-from .product import FileTask, Product, lowest_in_tile, sees_lowest
-from .report import REPORT, RunReport, Standing, collected_warnings
+from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
+from .report import REPORT, RunReport, Standing
 from .targets import Targets, check_out, targets_of
 from .tiles import LOCAL, WHOLE, Local, Memory, Tile
 
@@ -118,39 +118,36 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
         product = _set_up(survey, product, tile)
         report = kind.REPORT(tiles=len(tiles), cores=np.array([files.bounds] * len(tiles)).reshape(-1, 4))
         report.state = np.full(len(tiles), math.nan)
-        show = options.progress or (lambda standing: None)
         standing = Standing("tiles", 1, 0, int(product.writes_files))
+        show = options.progress or (lambda standing: None)
         if tiles:
-            local = Local(
-                options.workers, lambda share, step: show(dataclasses.replace(standing, step=step, share=share))
-            )
-            before = LOCAL.set(local)
+            local = LOCAL.set(Local(options.workers, lambda share, step: show(_at(standing, share, step))))
             try:
-                with collected_warnings() as remarks:
-                    arrays, summary = product.tile(tile)
+                summary, arrays = done_tile(product, tile)
             finally:
-                LOCAL.reset(before)
+                LOCAL.reset(local)
             store.put(0, arrays, {})
-            summary.remarks.update(remarks)
             report.add(summary)
-            if summary.points:
-                report.state[0] = summary.ground / summary.points
+            report.state[0] = summary.ground / summary.points if summary.points else math.nan
             standing.points, standing.read = summary.points, summary.read
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
         product.complete(report, files, targets, options)
         if product.writes_files and wanted and (tiles or not targets.in_place):
-            begun = time.perf_counter()
-            with collected_warnings() as remarks:
-                how = {"overwrite": replaced, "in_place": targets.in_place}
-                product.file(FileTask(0, source, tiles, targets.places[0], how))
+            how = {"overwrite": replaced, "in_place": targets.in_place}
+            seconds, remarks = done_file(product, FileTask(0, source, tiles, targets.places[0], how))
             report.remarks.update(remarks)
+            report.seconds["write"] += seconds
             report.files.append(str(targets.places[0]))
-            report.seconds["write"] += time.perf_counter() - begun
         report.elapsed = time.perf_counter() - start
         if targets.folder is not None:
             report.put_into(targets.folder)
     return report
+
+
+def _at(standing: Standing, share: float, step: str) -> Standing:
+    """How far a filter is."""
+    return dataclasses.replace(standing, step=step, share=share)
 
 
 def _set_up(survey: Survey, product: Product, tile: Tile) -> Product:
