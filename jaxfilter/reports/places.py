@@ -17,7 +17,6 @@ from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds, check_suffix
 from ..terrain.layer import extent_of, ground_of
-from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
 
@@ -87,6 +86,8 @@ class ReviewCells(NamedTuple):
         least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
+            from ..terrain.models import heights_of
+
             above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)

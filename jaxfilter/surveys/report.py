@@ -167,7 +167,7 @@ class RunReport(Summary):
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        found = dict(vars(self))
         for name in ("cores", "state", "unread", "forecast", "water"):
             del found[name]
         found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
