@@ -297,7 +297,7 @@ def run_shell(example: Example) -> None:
 
     example.namespace.pop("_said", None)
     found = commands(str(example.parsed))
-    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.options.Pool", Here):
+    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.executors.Pool", Here):
         if any(why_not(page(example), command) is None for command in found):
             shutil.copytree(files_for_commands(), folder, dirs_exist_ok=True)
         with contextlib.chdir(folder):

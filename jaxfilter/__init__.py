@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from .files.reading import Classes, class_changes, info, read, write
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
-    from .reports import ReportOptions, report, review
+    from .reports.page import ReportOptions, report
+    from .reports.places import review
     from .scoring import Scores, evaluate
     from .steps.batch import Batch
     from .steps.grid_filter import soft_labels
@@ -52,9 +53,10 @@ _HOMES = {
     "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
     "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
     "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
-    "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports": ("report",
-    "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
-    ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("breaklines", "chm",
+    "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports.page": ("report",
+    "ReportOptions"), "reports.places": ("review",), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
+    "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",),
+    "terrain.layers": ("breaklines", "chm",
     "contours", "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
     "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip

@@ -274,7 +274,8 @@ def test_a_folder_of_the_user_that_somebody_else_has_made_is_refused(tmp_path, w
         other.rename(made)
         os.chown(made, 12345, 12345) if plant == "another" else made.chmod(0o777)
     with pytest.raises(jf.OutputError, match="remove it if nobody needs it") as caught:
-        jf.ground(west_and_east / "west.laz", "memory://runs/refused.laz", PMF)
+        run = jf.RunOptions(tile=15.0, wide_halos=True)
+        jf.ground(west_and_east / "west.laz", "memory://runs/refused.laz", PMF, run=run)
     assert str(caught.value).startswith(f"{made}: ") and os.listdir(made) == ["precious.txt"]
     assert (made / "precious.txt").read_text() == "precious"
 

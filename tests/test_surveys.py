@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -94,6 +96,7 @@ def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
 def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
+    monkeypatch.setattr("jaxfilter.surveys.survey.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
     ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}}
     ways["much"] = {"memory": 1e12, "workers": 1}
@@ -232,27 +235,32 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
 
 
-def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(survey, tmp_path):
-    """What kill -9 leaves: the folder of the run, with a tile that is done, and a half-written output."""
-    out, store = tmp_path / "west.las", tmp_path / ".west.las.jaxfilter-run"
-    left = tmp_path / "left"
-
-    class Watched(Here):
-        def completed(self, seconds):
-            found = super().completed(seconds)
-            if self.calls[-1][0] == "do_tile":
-                shutil.copytree(store, left)
-            return found
-
-    jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=Watched()))
-    expected = out.read_bytes()
-    for how in ({}, {"overwrite": True}, {"resume": True}):
-        out.unlink()
-        shutil.copytree(left, store)
+def test_a_small_file_goes_through_memory(survey, tmp_path):
+    """What it has no use for is not loaded; nothing lies beside the output; its labels are those of a run in tiles."""
+    code = """
+import sys, jaxfilter as jf
+made = []
+sys.addaudithook(lambda event, found: made.append(str(found[0])) if event == "os.mkdir" else None)
+jf.ground(sys.argv[1], sys.argv[2], jf.PMF(max_window=10.0))
+print(sum("jaxfilter-run" in name for name in made))
+print([name for name in ("run", "plan", "store", "claim", "executors", "vpc") if f"jaxfilter.surveys.{name}" in sys.modules])
+"""
+    source, out = survey / "west.las", tmp_path / "out" / "west.las"
+    out.parent.mkdir()
+    done = subprocess.run([sys.executable, "-c", code, source, out], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["0", "[]"] and os.listdir(out.parent) == ["west.las"]
+    filter_ = jf.PMF(max_window=10.0)
+    tiled = jf.ground(source, tmp_path / "tiled.las", filter_, run=jf.RunOptions(tile=1000.0, workers=1))
+    assert tiled.tiles == 1 and out.read_bytes() == (tmp_path / "tiled.las").read_bytes()
+    before = out.stat().st_mtime_ns
+    again = jf.ground(source, out, filter_, run=jf.RunOptions(resume=True))
+    assert again.was_complete and out.stat().st_mtime_ns == before
+    shutil.copy(source, tmp_path / "in.las")
+    for how in ({}, {"resume": True}):  # the labels are the same ones again
         executor = Here()
-        assert jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=executor, **how)).complete
-        assert out.read_bytes() == expected and not store.exists()
-        assert ("do_tile", 0) not in executor.calls or "resume" not in how
+        run = jf.RunOptions(in_place=True, executor=executor, **how)
+        assert jf.ground(tmp_path / "in.las", None, filter_, run=run).complete and executor.calls == []
+        assert (tmp_path / "in.las").read_bytes() == out.read_bytes()
 
 
 def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):
@@ -323,11 +331,11 @@ def in_folder(survey, d, name=""):
 
 
 RUNS = {
-    "one": (".out.laz.jaxfilter-run", lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"]),
-    "folder": (".jaxfilter-run", lambda survey, d: ["ground", "pmf", survey, f"{d}/"]),
-    "one in place": (".west.las.jaxfilter-run", lambda survey, d: in_folder(survey, d, "west.las")),
-    "folder in place": (".jaxfilter-run", in_folder),
-}  # fmt: skip
+    "one": lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"],
+    "folder": lambda survey, d: ["ground", "pmf", survey, f"{d}/"],
+    "one in place": lambda survey, d: in_folder(survey, d, "west.las"),
+    "folder in place": in_folder,
+}
 
 
 def of_another(place, folder):
@@ -359,14 +367,13 @@ KINDS = {
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
 @pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("what", RUNS)
+@pytest.mark.parametrize("what", ["folder", "folder in place"])
 def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, what, kind, how):
     """Whatever it is, it stays, and so does what it leads to."""
-    name, words = RUNS[what]
-    d, (folder, content) = tmp_path / "d", elsewhere
+    d, name, (folder, content) = tmp_path / "d", ".jaxfilter-run", elsewhere
     d.mkdir()
     KINDS[kind](d / name, folder)
-    command = words(survey, d)
+    command = RUNS[what](survey, d)
     before, beside = content(), held(d)
     done = run(*command, *filter(None, [how]))
     assert done.exit_code in (1, 2) and f"{d / name}: " in done.stderr and "remove it" in done.stderr, done.output

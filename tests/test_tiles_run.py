@@ -21,8 +21,8 @@ from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, attempt
 from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
-from jaxfilter.surveys.product import do_tile
 from jaxfilter.surveys.report import RunReport
+from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names
 
 pytestmark = [pytest.mark.usefixtures("plain_maps"), pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")]

@@ -125,15 +125,17 @@ REPLACE = option("--overwrite", "Replace what exists.", bool)
 
 def take(kind: type[T], options: dict[str, Any], **more: Any) -> T:
     """A value of the library, a dataclass, from the options that are named as its fields, which are taken out, and ``more``."""
-    names = [field.name for field in dataclasses.fields(kind) if field.name in options]  # type: ignore[arg-type]
-    return kind(**{name: options.pop(name) for name in names}, **more)
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if field.name in options:
+            more[field.name] = options.pop(field.name)
+    return kind(**more)
 
 
 def take_classes(options: dict[str, Any]) -> Classes:
     """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
     from ..files.classes import Classes
 
-    said = on_command_line(field.name for field in dataclasses.fields(Classes))
+    said = on_command_line(vars(Classes()))
     return Classes.preset(options.pop("preset_of_classes"), **said)
 
 
@@ -217,9 +219,11 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
 
 def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
     """As :func:`check_target`, for files of shapes of a run that may go on."""
+    named = list(filter(None, targets))
+    if not named:
+        return
     from ..files.vectors import SUFFIXES
 
-    named = [target for target in targets if target is not None]
     for target in named:
         check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
     if len({os.path.realpath(target) for target in named}) < len(named):

@@ -47,9 +47,8 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed. OUT may be - for standard output.
     """
     from ..files.reading import read
-    from ..reports import ReportOptions
-    from ..reports import report as write_report
-    from ..reports.page import SUFFIXES
+    from ..reports.page import SUFFIXES, ReportOptions
+    from ..reports.page import report as write_report
 
     name, overwrite = target, options["overwrite"]
     if str(target) == "-":

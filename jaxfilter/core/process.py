@@ -7,10 +7,13 @@ import contextlib
 import ctypes
 import gc
 import os
+import sys
 
-from .errors import ForkError
+from .errors import ForkError, JaxfilterError
 
 _M_ARENA_MAX = -8  # of malloc.h
+WORKER, UNGUARDED = "jaxfilter-worker", 83
+"""Name of processes that work for a run, and exit code of those that come to start workers themselves."""
 _owner: int | None = None
 """The process that has started the threads."""
 
@@ -42,3 +45,24 @@ def collect_seldom() -> None:
     of a small file. Points lie in arrays that no circle holds."""
     gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
+
+
+def check_main() -> None:
+    """Raises JaxfilterError in a process that is being spawned, and so imports a script that comes here: it would start processes
+    for ever. One of ours ends, and the one that has started it tells why."""
+    import multiprocessing
+
+    process = multiprocessing.current_process()
+    if getattr(process, "_inheriting", False):
+        if process.name == WORKER:
+            raise SystemExit(UNGUARDED)
+        raise JaxfilterError(unguarded())
+
+
+def unguarded() -> str:
+    """What to do where a script starts workers as it is imported."""
+    script = getattr(sys.modules["__main__"], "__file__", None) or "the script"
+    return (
+        f"{script}: processes that it starts import it, and would begin the run again: put what it does under "
+        'if __name__ == "__main__":'
+    )

@@ -302,7 +302,7 @@ class Writer:
             file.seek(107)
             file.write(struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist()))
         file.seek(0, 2)
-        if source is not None:
+        if source is not None and source.tail < source.identity.size:
             self._copy_tail(source)
 
     def _copy_tail(self, source: Header) -> None:

@@ -16,7 +16,7 @@ from ..core.echoes import sample
 from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
-from .disk import Bounds
+from .disk import Bounds, Identity
 from .points import measured
 from .reading import LasFile, is_text, kept_las
 from .storage import Place, Remote, place_of
@@ -131,23 +131,32 @@ def examined(source: Source) -> Source:
 def _extent_of(las: LasFile) -> np.ndarray:
     """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show that
     this cannot be; then those of the points. Warns: if the header is wrong."""
-    header, seen, stated = las.header, las.extent, np.stack(las.header.extent)
-    if not header.count:
-        return stated
-    (low, high), slack, small = stated, 2 * header.scales, seen is not None and len(sample(header.count)) == 1
+    header = las.header
+    low, high = stated = np.stack(header.extent)
     sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
+    if not header.count or (sane and las.extent is None):
+        return stated
+    return _true_extent(header.path, header.identity, bool(sane))
+
+
+@functools.lru_cache(256)
+def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
+    """:func:`_extent_of` a file with this identity now; ``sane``: what its header states could be."""
+    las = kept_las(place, True)
+    header, (low, high) = las.header, las.header.extent
+    seen, slack, small = las.extent, 2 * header.scales, len(sample(header.count)) == 1
+    assert seen is not None
     if sane and not small:
-        some = stated if seen is None else seen
-        reached = (high - low <= 2 * (some[1] - some[0]) + slack)[:2].all()  # some points do not reach the edges
-        if reached and (low <= some[0] + slack).all() and (some[1] <= high + slack).all():
-            return stated
-    found = seen if small and seen is not None else measured(header)[1]
+        reached = (high - low <= 2 * (seen[1] - seen[0]) + slack)[:2].all()  # some points do not reach the edges
+        if reached and (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all():
+            return np.stack([low, high])
+    found = seen if small else measured(header)[1]
     if (far := abs(found) >= FARTHEST).any():
         axis = int(far.any(axis=0).argmax())
         reached = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
         raise InputError(f"{header.path}: {reached}: correct scale and offset in its header")
     margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
-    if not (sane and (abs(stated - found) <= margin).all() and (low <= found[0] + slack).all()):
-        words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (stated, np.round(found, 3)))
+    if not (sane and (abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()):
+        words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in ((low, high), np.round(found, 3)))
         warn(f"{header.path}: its header states the extent {words}, and its points lie in {true}, which is used")
     return found

@@ -16,9 +16,7 @@ from ..core.grid import most_cells
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds, check_suffix
-from ..files.vectors import SUFFIXES, write_features
 from ..terrain.layer import extent_of, ground_of
-from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
 
@@ -88,6 +86,8 @@ class ReviewCells(NamedTuple):
         least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
+            from ..terrain.models import heights_of
+
             above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)
@@ -145,6 +145,8 @@ class Suspects:
     @classmethod
     def together(cls, parts: Sequence[Suspects]) -> Suspects:
         """Of parts of a scene that share no cell; there is at least one."""
+        if len(parts) == 1:
+            return parts[0]
         names = [field.name for field in dataclasses.fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -335,6 +337,8 @@ def review(
     >>> places["rank"].tolist() == list(range(1, len(places) + 1)), bool(places["volume"].is_monotonic_decreasing)
     (True, True)
     """
+    from ..files.vectors import SUFFIXES, write_features
+
     target = None if path is None else check_suffix(Path(path), SUFFIXES)
     cloud = as_cloud(cloud)
     table = table_of(places_of(suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)

@@ -30,8 +30,8 @@ from ..terrain.raster import Raster
 from .collection import Collection
 from .collection import open as open_collection
 from .options import RunOptions
-from .run import check_in_place
-from .targets import REPORT
+from .report import REPORT
+from .survey import check_in_place
 from .verdicts import LOG, reviewed
 
 EDITIONS = {

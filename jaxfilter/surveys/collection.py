@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import array
 import dataclasses
 import functools
 import glob
-import itertools
 import math
 import operator
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -26,16 +24,15 @@ from ..files.sources import Source, describe_file, examined
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
-from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from .findings import Findings, Footprints
+
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
-_ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
-_ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
 Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
@@ -56,36 +53,29 @@ class Collection:
     def __init__(
         self, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
     ) -> None:
-        columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
-        columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
-        add = [column.extend if name in _ROWS else column.append for name, column in columns.items()]
-        values = operator.attrgetter(*columns)
-        for source in sources:
-            for put, value in zip(add, values(source), strict=True):
-                put(value)
-        for name in _ARRAYS:
-            columns[name] = np.array(columns[name])
-        for name, width in _ROWS.items():
-            columns[name] = columns[name].reshape(-1, width)
-        self._columns = columns
-        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)  # complete when all sources have been made
+        self._sources = tuple(sources)
+        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)
+
+    @functools.cached_property
+    def _columns(self) -> dict[str, Any]:
+        """Values of all sources by the name of the field."""
+        columns: dict[str, Any] = {}
+        for field in dataclasses.fields(Source):
+            columns[field.name] = list(map(operator.attrgetter(field.name), self._sources))
+        return columns
 
     def __len__(self) -> int:
-        return len(self._columns["uri"])
+        return len(self._sources)
 
     @overload
     def __getitem__(self, row: int) -> Source: ...
     @overload
     def __getitem__(self, row: slice) -> tuple[Source, ...]: ...
     def __getitem__(self, row: int | slice) -> Source | tuple[Source, ...]:
-        if isinstance(row, slice):
-            return tuple(self[i] for i in range(*row.indices(len(self))))
-        values = {name: column[row] for name, column in self._columns.items()}
-        plain = {name: values[name].tolist() for name in _ARRAYS}
-        return Source(**values | plain | {name: tuple(plain[name]) for name in _ROWS})
+        return self._sources[row]
 
     def __iter__(self) -> Iterator[Source]:
-        return (self[i] for i in range(len(self)))
+        return iter(self._sources)
 
     def __repr__(self) -> str:
         return f"Collection({len(self)} files, {self.count} points)"
@@ -108,23 +98,23 @@ class Collection:
         """
         return self._columns["uri"]
 
-    @property
+    @functools.cached_property
     def footprints(self) -> np.ndarray:
         """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points.
 
         >>> jf.open("survey", units="m").footprints.shape
         (2, 4)
         """
-        return self._columns["bounds"]
+        return np.array(self._columns["bounds"], np.float64).reshape(-1, 4)
 
-    @property
+    @functools.cached_property
     def counts(self) -> np.ndarray:
         """i64[n]: points of each file.
 
         >>> int(jf.open("survey", units="m").counts.sum()) == len(cloud)
         True
         """
-        return self._columns["count"]
+        return np.array(self._columns["count"], np.int64)
 
     @property
     def bounds(self) -> Bounds:
@@ -166,7 +156,7 @@ class Collection:
         >>> print(jf.open("survey", units="m").crs)
         None
         """
-        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        self._refuse_mixture()
         stated = [pyproj.CRS.from_wkt(wkt) for wkt in dict.fromkeys(self._columns["wkt"]) if wkt is not None]
         return next((crs for crs in stated if vertical(crs)), stated[0] if stated else None)
 
@@ -177,7 +167,7 @@ class Collection:
         >>> jf.open("survey", units="m").units.name
         'metre'
         """
-        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        self._refuse_mixture()
         return self._columns["units"][0]
 
     @property
@@ -201,6 +191,8 @@ class Collection:
     def examined(self) -> Collection:
         """The same files, each with the extent of its points where some of them show that the header states another; see
         :func:`jaxfilter.files.sources.examined`. Warns: of wrong extents."""
+        if len(self) < 2:
+            return Collection(map(examined, self), self.unreadable, self.repeated)
         with ThreadPoolExecutor(_THREADS) as pool:
             return Collection(pool.map(examined, self), self.unreadable, self.repeated)
 
@@ -220,8 +212,17 @@ class Collection:
             raise InputError(f"bounds={box}: none of the {len(self):,} files has points there")
         return Collection(sources, self.unreadable, self.repeated)
 
+    def _refuse_mixture(self) -> None:
+        """Raises: InputError if files differ in CRS or units."""
+        if len(self) > 1:
+            from .findings import refuse_mixture
+
+            refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+
     @functools.cached_property
     def _index(self) -> Footprints:
+        from .findings import Footprints
+
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
@@ -239,10 +240,12 @@ class Collection:
         >>> findings.overlaps, findings.gaps, len(findings.no_crs)
         ((), (), 2)
         """
+        from .findings import OVERLAP, Findings
+
         uris, counts, bounds = self.uris, self.counts, self.footprints
-        wkts, units = self._columns["wkt"], self._columns["units"]
+        wkts = self._columns["wkt"]
         try:
-            refuse_mixture(uris, wkts, units)
+            self._refuse_mixture()
             mixed = None
         except InputError as error:
             mixed = str(error)
@@ -273,7 +276,7 @@ class Collection:
         crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
         with np.errstate(divide="ignore", invalid="ignore"):
             density = np.where(self.areas > 0, self.counts / self.areas, np.nan)
-        edges = np.column_stack([c["bounds"], c["z"]])
+        edges = np.column_stack([self.footprints, np.array(c["z"]).reshape(-1, 2)])
         return pd.DataFrame(
             {"uri": c["uri"], "format": c["format"], "points": self.counts}
             | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
@@ -289,6 +292,7 @@ class Collection:
         1.0
         """
         from ..plots import footprints
+        from .findings import OVERLAP
 
         pairs, _ = self._index.overlaps(OVERLAP)
         gaps, label = self._index.holes(), "points per m2"
@@ -346,15 +350,21 @@ def open(
     listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
     if not listed:
         raise InputError("no files are named")
-    if len(listed) == 1:
-        entries = _expanded(os.fspath(listed[0]), stated)
-        alone = isinstance(entries, list) and len(entries) == 1
-    else:
-        entries, alone = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed), False
-    described = functools.partial(_described, stated=stated, points=alone)
+    entries: dict[str, Entry] = {}
+    repeated: list[str] = []
+    for one in listed:
+        for entry in _expanded(os.fspath(one), stated):
+            uri = entry.uri if isinstance(entry, Source) else entry
+            if uri in entries:
+                repeated.append(uri)
+            entries.setdefault(uri, entry)
+    sources: list[Source] = []
     unreadable: list[tuple[str, str]] = []
-    repeated: dict[str, None] = {}
-    collection = Collection(_read(iter(entries), described, unreadable, repeated), unreadable, repeated)
+    read = iter(_described([entry for entry in entries.values() if isinstance(entry, str)], stated, len(entries) == 1))
+    for entry in entries.values():
+        found = next(read) if isinstance(entry, str) else entry
+        sources.append(found) if isinstance(found, Source) else unreadable.append(found)
+    collection = Collection(sources, unreadable, dict.fromkeys(repeated))
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
@@ -396,35 +406,17 @@ def _is_member(path: Path, asked: str = "") -> bool:
     return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
 
 
-def _read(
-    entries: Iterator[Entry],
-    described: Callable[[str], Source | tuple[str, str]],
-    unreadable: list[tuple[str, str]],
-    repeated: dict[str, None],
-) -> Iterator[Source]:
-    """The sources of entries in their order; the headers of some are read at the same time."""
-    seen: set[str] = set()
+def _described(names: list[str], stated: Stated, points: bool) -> Iterable[Source | tuple[str, str]]:
+    """The sources of files in their order, or the name and why there is none; several headers are read at the same time."""
+    described = functools.partial(_source_of, stated=stated, points=points)
+    if len(names) < 2:
+        return map(described, names)
     with ThreadPoolExecutor(_THREADS) as pool:
-        while batch := list(itertools.islice(entries, 64 * _THREADS)):
-            new: list[Entry] = []
-            for entry in batch:
-                uri = entry.uri if isinstance(entry, Source) else entry
-                if uri in seen:
-                    repeated[uri] = None
-                else:
-                    seen.add(uri)
-                    new.append(entry)
-            read = pool.map(described, [entry for entry in new if isinstance(entry, str)])
-            for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
-                if isinstance(found, Source):
-                    yield found
-                else:
-                    unreadable.append(found)
+        return pool.map(described, names)
 
 
-def _described(uri: str, stated: Stated, points: bool) -> Source | tuple[str, str]:
-    """The source, or the name and why there is none."""
+def _source_of(name: str, stated: Stated, points: bool) -> Source | tuple[str, str]:
     try:
-        return describe_file(place_of(uri), stated, points)
+        return describe_file(place_of(name), stated, points)
     except InputError as error:
-        return uri, str(error)
+        return name, str(error)

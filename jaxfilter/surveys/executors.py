@@ -9,35 +9,29 @@ import errno
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextvars import ContextVar
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from ..core.errors import JaxfilterError, OutputError
+from ..core.process import UNGUARDED, WORKER, unguarded
+from ..core.process import check_main as check_main
 from ..core.result import Progress, silent
+from .tiles import LOCAL, Local
 
 RETRIES = 2
 """Times that a task that failed is tried again before it is set aside."""
 _WAIT = 0.25  # seconds between ticks
-_NAME, _UNGUARDED = "jaxfilter-worker", 83
-"""Name of our processes, and exit code of those that come to start workers themselves."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better;
-    ``error``: what it raised, where it was done in this process."""
+    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better."""
 
     value: Any = None
     reason: str | None = None
     full: bool = False
-    error: Exception | None = dataclasses.field(default=None, compare=False)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Outcome, (self.value, self.reason, self.full)  # errors need not be such as can be sent
 
 
 class Executor(Protocol):
@@ -75,9 +69,8 @@ def carried_out(
     todo: Iterator[Task],
     now: collections.deque[Task],
     tick: Callable[[], None],
-    retries: int = RETRIES,
 ) -> Iterator[tuple[Task, Outcome]]:
-    """Tasks with their outcomes, in the order in which they end. What fails is tried again, ``retries`` times.
+    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
 
     ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
 
@@ -89,7 +82,7 @@ def carried_out(
             task = now.popleft() if now else next(todo, None)
             if task is None:
                 break
-            executor.submit(task, task.function, *task.arguments(tries[task] >= retries))
+            executor.submit(task, task.function, *task.arguments(tries[task] >= RETRIES))
             running += 1
         if not running:
             return
@@ -97,7 +90,7 @@ def carried_out(
             running -= 1
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
-            if outcome.reason is not None and tries[task] < retries:
+            if outcome.reason is not None and tries[task] < RETRIES:
                 tries[task] += 1
                 now.appendleft(task)
                 continue
@@ -109,19 +102,19 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
     """Call a function; what it raises becomes a reason."""
     try:
         return Outcome(function(*arguments))
-    except MemoryError as error:
-        return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=", error=error)
+    except MemoryError:
+        return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
     except Exception as error:
         own = type(error).__module__.startswith("jaxfilter")
         words = str(error) if own else f"{type(error).__name__}: {error}"
-        return Outcome(reason=" ".join(words.split()), full=_is_full(error), error=error)
+        return Outcome(reason=" ".join(words.split()), full=_is_full(error))
 
 
 class Here:
     """This process, one task at a time, which may use threads, and a callback for its progress."""
 
     def __init__(self, threads: int | None = 1, progress: Progress = silent) -> None:
-        self.threads, self.progress = threads, progress
+        self._local = Local(threads, progress)
         self._waiting: list[tuple[Any, Callable[..., Any], tuple[Any, ...]]] = []
 
     def room(self) -> int:
@@ -135,7 +128,7 @@ class Here:
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Do what waits."""
         tag, function, arguments = self._waiting.pop()
-        before = LOCAL.set(self)
+        before = LOCAL.set(self._local)
         try:
             return [(tag, attempt(function, arguments))]
         finally:
@@ -145,10 +138,6 @@ class Here:
         """Nothing is running."""
 
 
-LOCAL: ContextVar[Here] = ContextVar("LOCAL", default=Here())  # noqa: B039
-"""What the task that runs now may use."""
-
-
 def _is_full(error: BaseException | None) -> bool:
     """Whether an error, or what it comes from, is that of a full disk."""
     while error is not None:
@@ -156,24 +145,6 @@ def _is_full(error: BaseException | None) -> bool:
             return True
         error = error.__cause__
     return False
-
-
-def check_main() -> None:
-    """Raises JaxfilterError in a process that is being spawned, and so imports a script that comes here: it would start processes
-    for ever. One of ours ends, and :class:`Pool` tells why."""
-    process = multiprocessing.current_process()
-    if getattr(process, "_inheriting", False):
-        if process.name == _NAME:
-            raise SystemExit(_UNGUARDED)
-        raise JaxfilterError(_unguarded())
-
-
-def _unguarded() -> str:
-    script = getattr(sys.modules["__main__"], "__file__", None) or "the script"
-    return (
-        f"{script}: processes that it starts import it, and would begin the run again: put what it does under "
-        'if __name__ == "__main__":'
-    )
 
 
 class Pool:
@@ -191,8 +162,8 @@ class Pool:
             first.connection.recv()
         except (EOFError, OSError) as error:
             code = first.stopped()
-            if code == _UNGUARDED:
-                raise JaxfilterError(_unguarded()) from error
+            if code == UNGUARDED:
+                raise JaxfilterError(unguarded()) from error
             raise JaxfilterError(
                 f"a worker process ended as it began ({_end(code)}); what it said stands above"
             ) from error
@@ -246,7 +217,7 @@ class _Worker:
 
     def __init__(self, context: Any) -> None:
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), name=_NAME, daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs,), name=WORKER, daemon=True)
         self.process.start()
         theirs.close()
 

@@ -16,21 +16,18 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.classes import Classes, Finding, Found, class_changes, findings_of
-from ..files.disk import check_suffix
 from ..files.text import SUFFIXES as TEXT
-from ..files.vectors import SUFFIXES
 from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
-from .executors import LOCAL
-from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
+from .kept import WaterWanted, check_shapes, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
-from .run import survey_of_points
+from .survey import survey_of_points
 from .targets import Targets
-from .tiles import Around, Tile, part_of
+from .tiles import LOCAL, Around, Tile, part_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +83,7 @@ class GroundProduct(Product):
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, into=task.into)
+        write_cloud(task.target, cloud, found, self.classes, additions, **task.how)
 
     @property
     def added(self) -> int:
@@ -133,8 +130,8 @@ def ground(
     """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
 
     Every file is written as it was, with classes changed, when all its points have labels. What is large goes in tiles that see
-    their surroundings, across files. A folder beside the output holds what is done, so that a run that was stopped, in whatever
-    way, goes on with ``resume``; the files are those of an undisturbed run.
+    their surroundings, across files. A folder beside the output holds what is done of tiles, so that a run that was stopped, in
+    whatever way, goes on with ``resume``; the files are those of an undisturbed run.
 
     Args:
         what: a file, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
@@ -161,7 +158,7 @@ def ground(
     listed, outlined = (None if one is None else Path(one) for one in (review, breaklines))
     for path in (listed, outlined):
         if path is not None:
-            check_suffix(path, SUFFIXES)
+            check_shapes(path)
     if listed is not None and outlined is not None and listed.absolute() == outlined.absolute():
         raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the places (review=): name another")
     survey = survey_of_points(what, out, recipe, reading, run)

@@ -17,16 +17,15 @@ from ..files.classes import Classes, findings_of
 from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, write_cloud
 from ..terrain.models import heights_of
 from .collection import Collection
-from .executors import LOCAL
 from .ground import summarise
 from .kept import list_places, suspects_in
 from .options import RunOptions
 from .product import FileTask, packed
 from .report import RunReport, Summary
-from .run import FIND_GROUND, survey_of_points
-from .surroundings import HALOS, GroundNeeded, GroundSource, source_of_ground
+from .surroundings import FIND_GROUND, HALOS, GroundNeeded, GroundSource, source_of_ground
+from .survey import survey_of_points
 from .targets import Targets
-from .tiles import Tile
+from .tiles import LOCAL, Tile
 
 _GRAIN = 1.0  # metres
 
@@ -76,7 +75,7 @@ class HeightProduct(GroundNeeded):
         cloud, found, quantities = self.collected(task, {HEIGHT: np.float64})
         result = found if self.classes_of_ground is None else None
         additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
-        write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, into=task.into)
+        write_cloud(task.target, cloud, result, Classes(), additions, **task.how)
 
     @property
     def added(self) -> int:

@@ -13,13 +13,11 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
-from ..files.vectors import write_features
+from ..files.disk import check_suffix
 from ..terrain.levels import WaterRuns, outlines
-from .area import within
 from .collection import Collection, common
-from .product import Product
+from .product import KEPT, Product
 from .report import RunReport
-from .store import KEPT
 from .tiles import Around, Tile
 
 
@@ -41,8 +39,18 @@ def suspects_in(
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
         found = Suspects.none()
-    found = found.part(within(reading.aoi, *(found.cell.T + 0.5) * SIDE / around.cloud.units.xy))
+    if reading.aoi is not None:
+        from .area import within
+
+        found = found.part(within(reading.aoi, *(found.cell.T + 0.5) * SIDE / around.cloud.units.xy))
     return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
+
+
+def check_shapes(path: Path) -> None:
+    """Raises: OutputError if the name is not that of a GeoPackage or GeoJSON."""
+    from ..files.vectors import SUFFIXES
+
+    check_suffix(path, SUFFIXES)
 
 
 def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:
@@ -57,6 +65,8 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
     places = places_of(Suspects.together(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
+        from ..files.vectors import write_features
+
         write_features(path, [table_of(places, collection.metre, collection.crs)], "review", overwrite=replace)
         report.review = str(path)
 
@@ -95,5 +105,7 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
         parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in product.kept(report, _NAMES)]
         report.water = WaterRuns.joined(parts) or report.water
     if wanted.path is not None:
+        from ..files.vectors import write_features
+
         write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)
         report.breaklines = str(wanted.path)

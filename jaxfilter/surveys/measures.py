@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,12 @@ def recipe_of(filter_: Any) -> Recipe:
         plain = filter_.replace()  # with numbers where fields are arrays
         return Recipe(type(plain), {field.name: getattr(plain, field.name) for field in declared(plain)})
     raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
+
+
+def whole_of(measures: Mapping[str, Any] | None) -> Whole | None:
+    """Measures of a scene as a value, which ``RunReport.measures`` has as plain values; None if they are not given."""
+    plain: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in (measures or {}).items()}
+    return None if measures is None else Whole(**plain)
 
 
 def middle(box: Bounds, share: float, metre: float) -> Bounds:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,15 +28,14 @@ from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
 from .collection import Collection, common
-from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
+from .product import KEPT
 from .report import RunReport, Summary
-from .run import FIND_GROUND, Survey, open_files
-from .store import KEPT
-from .surroundings import GroundNeeded, GroundSource, source_of_ground
-from .targets import Targets, beside
-from .tiles import Tile
+from .surroundings import FIND_GROUND, GroundNeeded, GroundSource, source_of_ground
+from .survey import Survey, open_files
+from .targets import Targets
+from .tiles import LOCAL, Tile
 
 _CORNER = f"{KEPT}corner"
 _WIDE = f"{KEPT}wide_"
@@ -145,18 +145,19 @@ class RasterProduct(GroundNeeded):
         known = [self._write(layer, place, report, collection, replace) for layer, place in rasters.items()]
         for layer in self.layers:
             if isinstance(layer, Contours):
-                model = rasters.get(layer.cells)
-                if not isinstance(model, Path):
-                    model = self.store.path / "model.tif"
-                    known.append(self._write(layer.cells, model, report, collection, True))
-                tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
-                if not len(first := next(tables)):
-                    level = f"no height is a multiple of interval={layer.interval:g}"
-                    said = f"{collection.name}: there is no contour line: {level}: pass a smaller interval="
-                    if len(self.layers) == 1:
-                        raise self._nothing(said)
-                    warn(said)
-                write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
+                with tempfile.TemporaryDirectory(prefix="jaxfilter-", dir=self.store.path) as folder:
+                    model = rasters.get(layer.cells)
+                    if not isinstance(model, Path):
+                        model = Path(folder) / "model.tif"
+                        known.append(self._write(layer.cells, model, report, collection, True))
+                    tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
+                    if not len(first := next(tables)):
+                        level = f"no height is a multiple of interval={layer.interval:g}"
+                        said = f"{collection.name}: there is no contour line: {level}: pass a smaller interval="
+                        if len(self.layers) == 1:
+                            raise self._nothing(said)
+                        warn(said)
+                    write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
@@ -215,8 +216,8 @@ def terrain_model(
 ) -> TerrainReport:
     """Make one terrain model of a file or of a collection, and write it as a Cloud Optimized GeoTIFF.
 
-    Tiles lie in a hidden folder beside ``target`` until the model is complete, so that a run that was stopped, in whatever way,
-    goes on with ``resume``.
+    Tiles of large data lie in a hidden folder beside ``target`` until the model is complete, so that a run that was stopped, in
+    whatever way, goes on with ``resume``.
 
     Args:
         what: as in :func:`jaxfilter.ground`.
@@ -266,7 +267,7 @@ def make_rasters(
     if not collection.count:
         raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
-    targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
+    targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
     return survey.run(
         RasterProduct,

@@ -7,15 +7,16 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import psutil
-
+from ..core.errors import ParameterError
 from ..core.filter import check_resources
 from ..core.result import Progress, silent
-from .executors import Executor, Here, Pool
-from .plan import Plan
-from .report import Standing
+
+if TYPE_CHECKING:
+    from .executors import Executor
+    from .plan import Plan
+    from .report import Standing
 
 _BASE, _PER_POINT, _SHARE = 350e6, 330, 0.7
 """Bytes of a worker before it has read a point, bytes per point of core and halo, and the share of the memory that is free."""
@@ -25,6 +26,9 @@ _BASE, _PER_POINT, _SHARE = 350e6, 330, 0.7
 class RunOptions:
     """How a run is carried out. None of this changes what is found, but ``tile``, ``halo`` and ``measures`` where a label depends
     on points at any distance.
+
+    One file of 8 million points or fewer is read, filtered and written in this process, unless ``tile`` is given: then
+    ``client``, ``executor`` and ``work`` have nothing to do.
 
     Attributes:
         tile: side of a tile in metres; by default one tile for data of 8 million points or fewer, and else as large as holds
@@ -38,7 +42,8 @@ class RunOptions:
         executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
         work: local folder in which the run keeps what it needs to go on; all workers see it. By default beside the output,
             or, of one file into a URL, in the user's ``~/.local/state/jaxfilter``; it must be given for several into a URL.
-        resume: go on with the run that was begun for the output.
+        resume: go on with the run that was begun for the output. Of one small file nothing is kept to go on with: nothing is
+            done if the output is there, and else the run begins anew, in place in any case.
         overwrite: begin anew; files that the run writes are replaced.
         in_place: write the inputs; there is no other output.
         dry_run: write nothing; ``RunReport.forecast`` tells what the run would do.
@@ -74,6 +79,8 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
 
     Raises: JaxfilterError if workers cannot be started.
     """
+    from .executors import Here, Pool
+
     if options.executor is not None:
         return options.executor
     if options.client is not None:
@@ -99,8 +106,20 @@ def need(plan: Plan) -> float:
     return _BASE + _PER_POINT * float(plan.points.max(initial=0.0))
 
 
+def check_memory(options: RunOptions, points: float) -> None:
+    """Raises: ParameterError if the memory does not suffice for a worker that has so many points of core and halo at a time."""
+    needed = _BASE + _PER_POINT * points
+    if options.memory is not None and options.memory < needed:
+        raise ParameterError(
+            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {needed:.3g}: pass memory= with "
+            "more, or tile= with less"
+        )
+
+
 def free_memory() -> float:
     """Bytes that are free to this process, by the system and by the limit of its control group (Slurm, Kubernetes)."""
+    import psutil
+
     free = float(psutil.virtual_memory().available)
     group = Path("/sys/fs/cgroup")
     for limit, used in (

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
+from .tiles import WHOLE
 
 MOST_TILES, _ROW = 20_000_000, 1 << 32
 _LARGEST_SIDE = 100_000.0  # metres
@@ -22,8 +23,6 @@ _ROUNDED = 0.01
 """Units, and metres, by which bounds in headers may be off."""
 POINTS, HALOS = 5_000_000, 6
 """Points of core and halo of a tile, and its width in halos, both sides included, at least: larger tiles save little."""
-WHOLE = 8_000_000
-"""Points of all data up to which they are one tile."""
 _SCATTERED, _NEAR = 4.0, 2000.0
 """Unless they lie in a box of more than so many times the area of the files, and larger than a square of so many metres."""
 

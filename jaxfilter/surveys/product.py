@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,41 +16,33 @@ from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
 from ..core.reading import Reading
 from ..files.classes import Found
-from ..files.disk import Seal
 from ..files.sources import Source
 from ..files.storage import Place
 from ..files.windows import file_cloud
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
-from .store import Store
 from .targets import Targets
-from .tiles import Around, Tile, read_tile
+from .tiles import Around, Memory, Tile
 
 CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
+KEPT = "kept_"
+"""What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FileTask:
-    """A file to be written: its number, the tiles that label it, where it goes, and what is written first if it takes the place
-    of an input."""
+    """A file to be written: its number, the tiles that label it, and where it goes.
+
+    ``how``: of ``write_cloud``, whether it may replace a file, or what is written first if it takes the place of an input.
+    """
 
     number: int
     source: Source
     tiles: tuple[int, ...]
     target: Place
-    into: Path | None
-
-    @property
-    def seal(self) -> Seal:
-        """Of what was written, or of the input where nothing had to be."""
-        return Seal.of(written(self.target, self.into))
-
-
-def written(target: Place, into: Path | None) -> Place:
-    """Where the content of an output lies now."""
-    return target if into is None or not into.exists() else into
+    how: dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +64,7 @@ class Product:
     Attributes:
         reading: which points count; where it has ``bounds``, points outside are not there.
         whole: measures of the scene.
-        store: what is kept of the run, in a folder which all processes see.
+        store: what is kept of tiles.
         filter: that finds the ground; None if classes say what it is.
         halo: metres around each tile that the filter sees as well; None = as the filter says.
     """
@@ -80,7 +72,7 @@ class Product:
     REPORT: ClassVar[type[RunReport]] = RunReport
     reading: Reading
     whole: Whole | None
-    store: Store
+    store: Memory
     filter: Filter | None
     halo: float | None
 
@@ -101,13 +93,22 @@ class Product:
         """Bytes that a point of an output has more than the input."""
         return 0
 
+    def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
+        report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
+        report.classes = Counter(dict(sorted(report.classes.items())))
+        if self.filter is not None:
+            report.method, report.parameters = type(self.filter).__name__, dataclasses.asdict(self.filter)  # type: ignore[call-overload]
+        report.measures = None if self.whole is None else dataclasses.asdict(self.whole)
+        self.finish(report, collection, targets, options)
+
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Make the one output of all tiles, and complete the report of the run. Raises: InputError, OutputError."""
 
     def read(self, tile: Tile, summary: Summary) -> Around:
         """The points of a tile and its halo; how many they are, and the time, goes into the summary. Raises: InputError."""
         start = time.perf_counter()
-        around = read_tile(tile, self.reading, self.whole, self.store.index)
+        around = self.store.read(tile, self.reading, self.whole)
         summary.seconds["read"] += time.perf_counter() - start
         summary.points, summary.read, summary.unread = len(around.own), len(around.cloud), around.left_out
         return around
@@ -150,23 +151,25 @@ class Product:
         return {}
 
 
-def do_tile(product: Product, tile: Tile) -> Summary:
-    """Work on a tile, and keep what was found of it. Raises: as ``Product.tile``; OutputError."""
+def done_tile(product: Product, tile: Tile) -> tuple[Summary, dict[str, np.ndarray]]:
+    """Work on a tile: a summary with what was warned of, and arrays. Raises: as ``Product.tile``."""
     with collected_warnings() as remarks:
         arrays, summary = product.tile(tile)
     summary.remarks.update(remarks)
-    product.store.put(tile.number, arrays, found := summary.as_json())
-    return Summary.of_json(found)
+    return summary, arrays
 
 
-def write_file(product: Product, task: FileTask) -> dict[str, Any]:
-    """Write a file: its seal, what was warned of, and seconds. Raises: as ``Product.file``."""
+def done_file(product: Product, task: FileTask) -> tuple[float, list[str]]:
+    """Write a file: seconds, and what was warned of. Raises: as ``Product.file``."""
     start = time.perf_counter()
     with collected_warnings() as remarks:
         product.file(task)
-    seal = dataclasses.asdict(task.seal)
-    seconds = time.perf_counter() - start
-    return {"seal": seal, "remarks": list(remarks), "seconds": seconds}
+    return time.perf_counter() - start, remarks
+
+
+def sees_lowest(filter_: Filter | None) -> bool:
+    """Whether a filter asks for the elevation of the lowest point of all data."""
+    return lowest_among.dispatch(type(filter_)) is not lowest_among.dispatch(object)
 
 
 def lowest_in_tile(product: Product, tile: Tile) -> float | None:
@@ -176,7 +179,7 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
     """
     assert product.filter is not None
     with collected_warnings():
-        around = read_tile(tile, product.reading, product.whole, product.store.index)
+        around = product.store.read(tile, product.reading, product.whole)
         points = product.filter.points_of(around.cloud)
         if len(points) == 0 or not points.has_area():
             return None
@@ -214,7 +217,7 @@ def found_in(label: np.ndarray) -> Found:
     return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
-def gathered(store: Store, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
+def gathered(store: Memory, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray], int]:
     """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and how many points are left out, since
     they are in other files."""
     repeated = 0

@@ -104,8 +104,12 @@ def products(
     classified = None
     water = WaterWanted(path=outlined)
     source: GroundSource = Recipe() if ground is None else ground
+    anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
+        given: Any = what, f"{folder / CLASSIFIED}/", source
+        classified = classify(*given, reading=reading, classes=classes, run=run)
+        if classified.was_complete:  # its water is not known any more
+            classified = classify(*given, reading=reading, classes=classes, run=anew)
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
@@ -118,7 +122,6 @@ def products(
         what = classified.files
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     rasters = make_rasters(what, outputs, source, cell=cell, reading=reading, run=anew, water=water)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"

@@ -20,6 +20,7 @@ from ..files.storage import Place
 if TYPE_CHECKING:
     from ..terrain.levels import WaterRuns
 
+REPORT, MAP = "jaxfilter-run.json", "jaxfilter-run.png"
 _MOST_DRAWN = 100_000  # tiles
 
 
@@ -166,13 +167,18 @@ class RunReport(Summary):
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        found = dict(vars(self))
         for name in ("cores", "state", "unread", "forecast", "water"):
             del found[name]
         found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
         found["seconds"] = dict(self.seconds)
         found["water_bodies"] = 0 if self.water is None else len(np.unique(self.water.body))
         return found | {"complete": self.complete}
+
+    def put_into(self, folder: Place) -> None:
+        """Put the report, and a map, into a folder. Raises: OutputError."""
+        self.write(folder / REPORT)
+        self.draw(folder / MAP)
 
     def write(self, place: Place) -> None:
         """Put the report into a file, as JSON. Raises: OutputError."""

@@ -1,5 +1,5 @@
-"""A run, from what is asked for to the files: the filter is set up, the survey is cut into tiles, and outputs are claimed; then
-the tiles are handed out and taken in, and files are written. One file is a run of one.
+"""A run in tiles: the filter is set up, the survey is cut into tiles, and outputs are claimed; then the tiles are handed out and
+taken in, and files are written.
 
 The order in which tiles end, the executor and interruptions change nothing in the files.
 """
@@ -11,7 +11,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -21,96 +20,49 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import InputError, ParameterError, warn
-from ..core.filter import Filter, lowest_among
+from ..core.errors import InputError, ParameterError
+from ..core.filter import Filter
 from ..core.params import declared
-from ..core.reading import Reading
 from ..core.version import __version__
-from ..files.copc import check_format, is_copc
 from ..files.disk import Identity, Seal, is_there
 from ..files.sources import fingerprint
+from ..files.storage import Place
 from ..methods import FILTERS
-from .area import area_of, meeting
+from .area import meeting
+from .claim import Claim, claim_of
 from .collection import Collection
-from .collection import open as open_collection
-from .executors import RETRIES, Executor, Outcome, Task, carried_out, check_main
-from .measures import Recipe, Sampler, middle
-from .options import RunOptions, executor_for, need, workers_for
-from .plan import WHOLE, Plan, plan_boxes, plan_tiles
-from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, write_file, written
+from .executors import Executor, Outcome, Task, carried_out
+from .measures import Recipe, Sampler, middle, whole_of
+from .options import RunOptions, check_memory, executor_for, need, workers_for
+from .plan import Plan, plan_boxes, plan_tiles
+from .product import Cut, FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
 from .report import Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
-from .targets import MAP, REPORT, Targets, check_out, targets_of
-from .tiles import Tile, read_tile
+from .survey import Survey
+from .tiles import WHOLE, Tile, read_tile
 
 TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
-FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
-"""What to do where no point is ground."""
 _TOO_OFTEN = 3.0
 """Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
 _WAIT = 0.25  # seconds between looks at the progress
 
 
-def check_in_place(reading: Reading) -> None:
-    """Raises: ParameterError if points would be removed from inputs."""
-    for name in ("bounds", "aoi", "drop_duplicates"):
-        value = getattr(reading, name)
-        if value is not None and value is not False:
-            raise ParameterError(
-                f"{name} with in_place=True would remove points: name an output, or leave out one of the two"
-            )
-
-
-def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collection, Reading]:
-    """The collection of a run, and the reading with polygons as area of interest; ``clip``: only files that meet its bounds.
-
-    Raises: JaxfilterError if the workers of a run would come here themselves; InputError if files cannot be found, or do not go
-    together; ParameterError.
-    """
-    check_main()
-    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
-    if collection.assumes_metres and reading.units is None:
-        warn(
-            f"{collection.name}: no CRS states the units, metres are assumed; pass units= if that is wrong, or pass crs="
-        )
-    if not collection.count:
-        warn(f"{collection.name}: holds no points")
-    collection = collection.examined()
-    if reading.aoi is not None:
-        reading = dataclasses.replace(reading, aoi=area_of(reading, collection))
-    if clip and reading.bounds is not None:
-        collection = collection.clipped(reading.bounds)
-    return collection, reading
+def in_tiles(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+    """Make a product of a survey in tiles. Returns, raises: as ``Survey.run``."""
+    files, options = survey.collection, survey.options
+    claim = survey.targets if isinstance(survey.targets, Claim) else claim_of(survey.targets, options, len(files) == 1)
+    return TiledSurvey(files, claim, survey.recipe, survey.reading, options).carried_out(kind, settings)
 
 
 @dataclasses.dataclass(frozen=True)
-class Survey:
-    """Points out of which something is made, and how.
+class TiledSurvey(Survey):
+    """A survey that is done in tiles."""
 
-    Attributes:
-        collection: its files; targets: where the outputs go.
-        recipe: of the filter that finds the ground; None if classes say what it is.
-        reading: which points count; options: how the run is carried out.
-    """
+    targets: Claim
 
-    collection: Collection
-    targets: Targets
-    recipe: Recipe | None
-    reading: Reading
-    options: RunOptions
-
-    def run(self, kind: type[Product], **settings: Any) -> Any:
-        """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
-
-        ``settings``: the fields of the product, besides those of every :class:`Product`.
-
-        Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
-        of a single file what is wrong with it.
-        """
-        for source, place in zip(self.collection, self.targets.places, strict=False):
-            if is_copc(place) and source.point_format is not None:
-                check_format(place, source.point_format)
+    def carried_out(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+        """Set the filter up, cut the survey into tiles, and do what is to be done. Returns, raises: as ``Survey.run``."""
         if self.options.dry_run:
             return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store
@@ -135,8 +87,7 @@ class Survey:
                     error.add_note("pass resume=True to go on")
                 raise
             if targets.folder is not None:
-                run.report.write(targets.folder / REPORT)
-                run.report.draw(targets.folder / MAP)
+                run.report.put_into(targets.folder)
             if run.report.complete:
                 store.discard() if targets.folder is None else store.drop_index()
         return run.report
@@ -193,11 +144,7 @@ class Survey:
         )
         if self.reading.aoi is not None:
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
-        if options.memory is not None and options.memory < need(plan):
-            raise ParameterError(
-                f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
-                "more, or tile= with less"
-            )
+        check_memory(options, float(plan.points.max(initial=0.0)))
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
             raise ParameterError(
@@ -211,8 +158,7 @@ class Survey:
         recipe, facts = self.recipe, self.targets.store.facts
         begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
         given = facts["measures"] if begun and "measures" in facts else self.options.measures
-        plain: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in (given or {}).items()}
-        whole = None if given is None else Whole(**plain)
+        whole = whole_of(given)
         if recipe is None:
             return None, whole or Whole()
         if begun and "parameters" in facts:
@@ -268,25 +214,6 @@ class Survey:
                 )
 
 
-def survey_of_points(
-    what: Any, out: str | Path | None, recipe: Recipe | None, reading: Reading, options: RunOptions
-) -> Survey:
-    """A survey whose outputs are files of points.
-
-    Raises: as :func:`open_files`; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
-    """
-    check_main()
-    if options.in_place:
-        check_in_place(reading)
-    elif out is None:
-        raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
-    else:
-        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
-    collection, reading = open_files(what, reading)
-    targets = targets_of(None if options.in_place else out, collection.uris, options)
-    return Survey(collection, targets, recipe, reading, options)
-
-
 def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
     """A recipe as plain values."""
     if recipe is None:
@@ -314,6 +241,25 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
     return best
 
 
+def do_tile(product: Product, tile: Tile) -> Summary:
+    """Work on a tile, and keep what was found of it. Raises: as ``Product.tile``; OutputError."""
+    summary, arrays = done_tile(product, tile)
+    product.store.put(tile.number, arrays, found := summary.as_json())
+    return Summary.of_json(found)
+
+
+def write_file(product: Product, task: FileTask) -> dict[str, Any]:
+    """Write a file: its seal, what was warned of, and seconds. Raises: as ``Product.file``."""
+    seconds, remarks = done_file(product, task)
+    seal = dataclasses.asdict(Seal.of(written(task.target, task.how["into"])))
+    return {"seal": seal, "remarks": remarks, "seconds": seconds}
+
+
+def written(target: Place, into: Path | None) -> Place:
+    """Where the content of an output lies now; ``into``: what is written first if it takes the place of an input."""
+    return target if into is None or not into.exists() else into
+
+
 @dataclasses.dataclass
 class Run:
     """Tiles of a plan on their way through an executor, and the files that are written out of them."""
@@ -321,7 +267,7 @@ class Run:
     product: Product
     plan: Plan
     collection: Collection
-    targets: Targets
+    targets: Claim
     options: RunOptions
 
     def __post_init__(self) -> None:
@@ -360,7 +306,7 @@ class Run:
     def _find_lowest(self, executor: Executor) -> None:
         """Measure the elevation of the lowest point of the collection, once, if the filter asks for it."""
         filter_, whole = self.product.filter, self.product.whole
-        if filter_ is None or whole is None or lowest_among.dispatch(type(filter_)) is lowest_among.dispatch(object):
+        if whole is None or not sees_lowest(filter_):
             return
         if "lowest" not in self.store.facts:
             standing, found = dataclasses.replace(self._standing, step="survey"), [math.inf]
@@ -391,10 +337,7 @@ class Run:
         """Do ``tiles``, and before them ``files``, to which those are added that are complete."""
         plan, standing = self.plan, self._standing
         before = standing.tiles_done
-        alone = len(self.collection) == len(plan) == 1
-        for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing), 0 if alone else RETRIES):
-            if alone and outcome.error is not None:
-                raise outcome.error
+        for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing)):
             if task.function is write_file:
                 self._take_file(task.number, outcome)
             else:
@@ -447,7 +390,8 @@ class Run:
     def _writing(self, number: int) -> Task:
         def arguments(last: bool) -> tuple[Product, FileTask]:
             tiles, target = tuple(self.plan.tiles_of[number].tolist()), self.targets.places[number]
-            return self.product, FileTask(number, self.collection[number], tiles, target, self.targets.part(number))
+            how = {"overwrite": True, "into": self.targets.part(number)}
+            return self.product, FileTask(number, self.collection[number], tiles, target, how)
 
         return Task(write_file, number, arguments)
 
@@ -504,15 +448,8 @@ class Run:
     def _complete_report(self) -> None:
         report, uris = self.report, self.collection.uris
         report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.unread.items())]
-        report.failed += [{"file": name, "reason": reason} for name, reason in self.collection.unreadable]
         report.files.sort()
-        report.classes = collections.Counter(dict(sorted(report.classes.items())))
-        filter_ = self.product.filter
-        if filter_ is not None:
-            report.method, report.parameters = type(filter_).__name__, dataclasses.asdict(filter_)  # type: ignore[call-overload]
-        whole = self.product.whole
-        report.measures = None if whole is None else dataclasses.asdict(whole)
-        self.product.finish(report, self.collection, self.targets, self.options)
+        self.product.complete(report, self.collection, self.targets, self.options)
         report.elapsed = time.perf_counter() - self._start
 
     def _show_step(self, share: float, step: str) -> None:

@@ -2,7 +2,7 @@
 
 A tile is done when its file lies here: what was found of its points, and a summary. A file is done when its output lies
 where it belongs, and its seal (length and checksum) here. ``run.json`` holds what decides on the outcome. Every file
-appears whole or not at all, and holds checksums, so that a kill, a full disk or a damage repeats work and mixes nothing.
+appears whole or not at all, and shows damage, so that a kill, a full disk or a damage repeats work and mixes nothing.
 
 In place, ``done.json`` says that all outputs are written, and which files take the places of inputs.
 """
@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import uuid
+import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -23,24 +24,28 @@ from typing import Any
 import filelock
 import numpy as np
 
+from ..core.cloud import Whole
 from ..core.errors import DAMAGED, InputError, OutputError
+from ..core.reading import Reading
 from ..files.disk import check_own, output_errors, sync
+from .product import KEPT
+from .tiles import Around, Memory, Tile, read_tile
 
 RUN, DONE, _LOCK = "run.json", "done.json", "lock"
-_SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
+_SUMMARY, _PER_FOLDER = "summary", 1000
 NEW = ".jaxfilter-new-"
 """Begins the names of folders of files that are to take the places of inputs."""
-KEPT = "kept_"
-"""What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
 
-class Store:
+class Store(Memory):
     """The folder of a run. One process at a time has it; others may add files of tiles.
 
     Attributes:
         path: of the folder. Raises: OutputError for one that no run of this user has made.
         facts: what decides on the outcome, and what was found out on the way.
     """
+
+    path: Path
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -150,17 +155,18 @@ class Store:
 
     # tiles
 
+    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
+        """The points of a tile and its halo, see :func:`jaxfilter.surveys.tiles.read_tile`."""
+        return read_tile(tile, reading, whole, self.index)
+
     def tile(self, number: int) -> Path:
         """Where the file of a tile is."""
         return self.path / "tiles" / str(number // _PER_FOLDER) / f"{number}.tile"
 
     def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
-        """Write the file of a tile, an .npz with its CRC-32 behind it. Raises: OutputError."""
+        """Write the file of a tile. Raises: OutputError."""
         body, told = io.BytesIO(), np.frombuffer(json.dumps(summary).encode(), np.uint8)
         np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
-        checksum = zlib.crc32(body.getbuffer())
-        body.seek(0, io.SEEK_END)
-        body.write(checksum.to_bytes(_CHECKSUM))
         self._write(self.tile(number), body.getbuffer())
 
     def summary(self, number: int, with_arrays: bool = False) -> dict[str, Any] | None:
@@ -174,14 +180,12 @@ class Store:
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
         damaged."""
-        path, data = self.tile(number), memoryview(b"")
-        with contextlib.suppress(OSError):
-            data = memoryview(path.read_bytes())
-        body, checksum = data[:-_CHECKSUM], data[-_CHECKSUM:]
-        if not len(body) or zlib.crc32(body) != int.from_bytes(checksum):
-            raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again")
-        with np.load(io.BytesIO(body)) as stored:
-            return {name: stored[name] for name in (stored if names is None else names) if name in stored}
+        path = self.tile(number)
+        try:
+            with np.load(path) as stored:
+                return {name: stored[name] for name in (stored if names is None else names) if name in stored}
+        except (*DAMAGED, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again") from error
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""

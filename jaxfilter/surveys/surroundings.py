@@ -15,14 +15,14 @@ from ..core.inputs import class_numbers
 from ..core.result import FilterResult
 from ..files.disk import Bounds
 from ..terrain.interpolation import Heights, Linear
-from .executors import LOCAL
 from .measures import Recipe, recipe_of
 from .plan import window_around
 from .product import Cut, Product
 from .report import Summary
-from .run import FIND_GROUND
-from .tiles import Around, Tile, inside
+from .tiles import LOCAL, Around, Tile, inside
 
+FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
+"""What to do where no point is ground."""
 HALOS = (40.0, 80.0, 160.0, 320.0)
 """Metres around a tile whose ground points take part: the first that suffices, by the circles of the triangles."""
 _EDGE = 20.0

@@ -1,293 +1,95 @@
-"""Where a run puts its files, and the folder in which it keeps what it needs to go on."""
+"""Where the outputs of a command go, and what must not be lost there."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
-import json
 import os
 import re
-import secrets
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from ..core.errors import DAMAGED, InputError, JaxfilterError, OutputError, ParameterError
-from ..files.copc import SUFFIX as COPC
-from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, sync, warn_of_names
+from ..core.errors import JaxfilterError, OutputError, ParameterError
+from ..files.disk import is_there, output_errors
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 from .options import RunOptions
-from .store import NEW, Store
+from .report import REPORT
 
 POINTS = (*LAS_SUFFIXES, *TEXT)
 """Suffixes of files of points."""
-REPORT, MAP = "jaxfilter-run.json", "jaxfilter-run.png"
-_HIDDEN, _LONGEST = ".jaxfilter-run", 255
-"""Name of the folder of a run, and bytes of the longest name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Targets:
-    """Where the outputs of a run go.
+    """Where the outputs of a command go.
 
     Attributes:
         places: where each output is written to.
-        folder: in which they lie, if that is the run's; its report and a map are put there. None for a file, and in place.
-        store: what the run keeps.
-        in_place: the places are those of the inputs. What is written lies beside them until all is written, and then takes their
-            places: before that no input is touched, and after it nothing is left to do but to rename.
+        folder: in which they lie, if the command has it to itself; its report and a map are put there. None for a file, and in
+            place.
+        in_place: the places are those of the inputs.
+        called: begins the name of the folder in which a run keeps what it needs; by default the name of the first output does.
     """
 
+    GO_ON: ClassVar = ""
+    """What else can be done where the folder holds something, in a message."""
     places: list[Place]
-    folder: Place | None
-    store: Store
+    folder: Place | None = None
     in_place: bool = False
-
-    @contextlib.contextmanager
-    def claimed(self, options: RunOptions) -> Iterator[None]:
-        """A block that has the outputs to itself.
-
-        Raises: OutputError if there is something that would be lost, or another run is at it; InputError if what is left of
-        a run to go on with is damaged.
-        """
-        folder, store, overwrite = self.folder, self.store, options.overwrite
-        goes_on = options.resume and (store.begun or store.done)
-        made = isinstance(folder, Path) and not folder.exists()
-        if isinstance(folder, Path):
-            with output_errors(folder):
-                folder.mkdir(parents=True, exist_ok=True)
-        if folder is not None:
-            self.check(options)
-        try:
-            with store.locked():
-                if folder is None:
-                    self.check(options)
-                if goes_on:
-                    store.load()
-                else:
-                    self._drop_parts()
-                    store.clear()
-                    self._remove_old(overwrite)
-                yield
-        except BaseException:
-            if made and isinstance(folder, Path):
-                with contextlib.suppress(OSError):  # it holds something
-                    folder.rmdir()
-            raise
+    called: str = ""
 
     def check(self, options: RunOptions) -> None:
         """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
-        folder = self.folder
-        if (options.resume and self.store.begun) or (isinstance(folder, Path) and not folder.exists()):
-            return
+        folder, replaced = self.folder, options.overwrite or options.resume
         for place in self.places if folder is None else ():
-            if is_there(place) and not (options.overwrite or self.in_place or self.complete(options)):
+            if is_there(place) and not (replaced or self.in_place):
                 raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
             if isinstance(place, Remote):
                 check_writable(place)
         if folder is None:
             return
-        held = _held(folder)
-        if options.resume:
-            if there := [place.name for place in self.places if place.name in held]:
-                raise OutputError(
-                    f"{folder / there[0]}: exists, and no run was begun in {self.store.path.parent}: name another folder, or "
-                    "pass overwrite=True to begin anew"
-                )
-        elif (held or self.store.begun) and not options.overwrite:
-            seen = [name for name in held if name != self.store.path.name] or [str(self.store.path)]
-            first, more = seen[0], f" and {len(seen) - 1} more" if len(seen) > 1 else ""
+        held = self.held()
+        if held and not replaced:
+            first, more = held[0], f" and {len(held) - 1} more" if len(held) > 1 else ""
             raise OutputError(
-                f"{folder}: is not empty, it holds {first}{more}: name another folder, pass resume=True to go on with a "
-                "run, or pass overwrite=True to begin anew"
+                f"{folder}: is not empty, it holds {first}{more}: name another folder, {self.GO_ON}or pass overwrite=True to "
+                "begin anew"
             )
         if isinstance(folder, Remote):
             check_writable(folder / REPORT)
 
-    def _remove_old(self, overwrite: bool) -> None:
-        """Remove what an earlier run has written into the folder. Raises: OutputError, before anything is removed, for what
-        cannot be replaced."""
-        if self.folder is None or not overwrite:
-            return
-        held = set(_held(self.folder))
-        ours = [place for place in (*self.places, self.folder / REPORT, self.folder / MAP) if place.name in held]
-        for path in (place for place in ours if isinstance(place, Path)):
-            existing(path)
-        for place in ours:
-            with output_errors(place):
-                place.unlink(missing_ok=True) if isinstance(place, Path) else place.remove()
-
-    def complete(self, options: RunOptions) -> bool:
-        """Whether there is nothing to go on with: no run is under way, and the outputs, which appear whole, are there."""
-        asked = options.resume and not options.overwrite and not self.store.begun
-        return asked and self.folder is None and not self.in_place and all(map(is_there, self.places))
-
-    def discard(self) -> None:
-        """Remove all that the run has kept. Raises: OutputError."""
-        self._drop_parts()
-        self.store.discard()
-
-    # in place
-
-    def part(self, number: int) -> Path | None:
-        """The file that is to take the place of an input, None unless ``in_place``. Nobody can guess its name."""
-        if not self.in_place:
-            return None
-        place = self.places[number]
-        folder = f"{NEW}{self.store.facts['parts']['token']}"
-        return self._beside(place) / folder / f"{number}{COPC if is_copc(place) else place.suffix}"
-
-    def _beside(self, place: Place) -> Path:
-        """The folder of an input, or of what its link leads to; that of the run for one in a store."""
-        return self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
-
-    def make_parts(self) -> None:
-        """Make the folders in which those files lie, beside the inputs. Raises: OutputError."""
-        if self.in_place:
-            if "parts" not in self.store.facts:
-                folders = sorted({str(self._beside(place)) for place in self.places})
-                self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
-            for folder in self._folders():
-                check_own(folder, make=True)
-
-    def _folders(self) -> list[Path]:
-        parts = self.store.facts.get("parts", {"token": "", "folders": []})
-        return [Path(folder) / f"{NEW}{parts['token']}" for folder in parts["folders"]]
-
-    def _drop_parts(self) -> None:
-        """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
-        if self.store.done and (
-            left := [place for _, place, part in _entries(self.store.load_done()) if part.exists()]
-        ):
-            raise OutputError(
-                f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
-                "pass resume=True, which ends that, before anything else is done with them"
-            )
-        with contextlib.suppress(InputError, OutputError):  # nothing is known of a run whose record is damaged
-            self.store.load()
-        for folder in self._folders():
-            check_own(folder)
-            shutil.rmtree(folder, ignore_errors=True)
-
-    def check_room(self, sizes: Mapping[int, int]) -> None:
-        """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
-        disks: dict[int, tuple[Path, int]] = {}
-        for number, size in sizes.items():
-            part = self.part(number)
-            assert part is not None
-            with output_errors(part.parent):
-                disk, there = os.stat(part.parent).st_dev, part.stat().st_size if part.exists() else 0
-            disks[disk] = part.parent, disks.get(disk, (part, 0))[1] + size - there
-        for folder, needed in disks.values():
-            if needed > (free := shutil.disk_usage(folder).free):
-                need, have, lack = (f"{one / 1e9:.3g} GB" for one in (needed, free, needed - free))
-                raise OutputError(
-                    f"{folder}: in place, all outputs are written before the first input is replaced: they need about {need}, "
-                    f"{have} are free, {lack} are missing: make room, or name a folder on another disk as the output"
-                )
-
-    def replace(self, facts: dict[str, Any], failed: list[dict[str, str]]) -> None:
-        """All outputs are written: they take the places of the inputs.
-
-        ``facts``: that tell the command; ``failed``: what the run could not do. Raises: as :meth:`finish`.
-        """
-        files = []
-        for number, place in enumerate(self.places):
-            if (part := self.part(number)) is not None and part.exists():
-                seal = (self.store.seal(number) or {"seal": dataclasses.asdict(Seal.of(part))})["seal"]
-                files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
-        self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
-        self.finish()
-
-    def finish(self, facts: dict[str, Any] | None = None) -> list[dict[str, str]]:
-        """Rename what is written and has not its place yet. ``facts``: that tell the command. Returns: what the run could not do.
-
-        Raises: InputError if another run was begun, or a file was changed after this one; OutputError.
-        """
-        store, done = self.store, self.store.load_done()
-        if facts is not None:
-            store.check_facts(done["facts"] | {"names": done["names"]}, facts | {"names": self._names()})
-        for entry, place, part in _entries(done):
-            if not part.exists():
-                wrong = None if isinstance(place, Remote) else Seal(entry["size"], entry["checksum"], ()).broken(place)
-                if wrong is not None:
-                    raise InputError(
-                        f"{place}: {wrong} since the run in place has written it: put it back, and pass resume=True"
-                    )
-            elif isinstance(place, Path) and entry["before"] != _identity(place):
-                raise InputError(
-                    f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or the "
-                    "other, and pass resume=True"
-                )
-        for entry, place, part in _entries(done):
-            with output_errors(place):
-                if part.exists() and isinstance(place, Path):
-                    warn_of_names(place)
-                    os.replace(part, os.path.realpath(place))
-                elif part.exists() and isinstance(place, Remote):  # it appears whole, and may be sent twice
-                    place.put(part)
-                    part.unlink()
-                entry["after"] = _identity(place)
-        for folder in self._folders():
-            with contextlib.suppress(OSError):  # not every system can
-                sync(folder.parent)
-        with contextlib.suppress(OutputError), new_file(self._record(), overwrite=True) as kept:
-            kept.write_text(json.dumps(done))
-        self._drop_parts()
-        store.end()
-        return list(done["failed"])
-
-    def ended(self, facts: dict[str, Any]) -> list[dict[str, str]] | None:
-        """What the last run in place on these files could not do, if it was that of this command and is complete; else None.
-
-        Without this, a complete run would be begun anew by ``resume``, on what it has written. Raises: InputError if some of the
-        files are as that run left them, and others are not.
-        """
+    def held(self) -> list[str]:
+        """Names in the folder, sorted. Raises: OutputError."""
         try:
-            done = json.loads(self._record().read_text())
-            if json.loads(json.dumps(facts)) != done["facts"]:
-                return None
-            known = {entry["file"]: _changed_since(entry, place) for entry, place, _ in _entries(done)}
-            left = [name for name in self._names() if known.get(name, name not in done["names"])]
-        except DAMAGED:
-            return None
-        if len(left) == len(self.places):
-            return None
-        if left:
-            raise InputError(
-                f"{left[0]}: is new or was changed since the run in place was complete, and other files were not: name "
-                "only what is to be done, and leave out resume="
-            )
-        return list(done["failed"])
+            if isinstance(self.folder, Remote):
+                return self.folder.held()
+            return [] if self.folder is None or not self.folder.exists() else sorted(os.listdir(self.folder))
+        except JaxfilterError as error:
+            raise OutputError(str(error)) from error
+        except OSError as error:
+            raise OutputError(f"{self.folder}: cannot be read: {error.strerror}") from error
 
-    def _names(self) -> list[str]:
-        return [str(place) for place in self.places]
+    @contextlib.contextmanager
+    def made_folder(self) -> Iterator[None]:
+        """A block before which the folder of the outputs is made; it goes if the block fails and has put nothing there.
 
-    def _record(self) -> Path:
-        """Where it is kept what the last run in place has done. Raises: OutputError."""
-        return _of_user() / f"{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:32]}.json"
-
-
-def _entries(done: dict[str, Any]) -> list[tuple[dict[str, Any], Place, Path]]:
-    """What the record of a run in place says of each output, its place, and the file that was written."""
-    return [(entry, place_of(entry["file"]), Path(entry["part"])) for entry in done["files"]]
-
-
-def _identity(place: Place) -> dict[str, Any] | None:
-    """Of the file that has this name now. Raises: OSError, InputError."""
-    return dataclasses.asdict(Identity.of(place)) if is_there(place) else None
-
-
-def _changed_since(entry: dict[str, Any], place: Place) -> bool:
-    """Whether an output is another than a run in place has left."""
-    if entry["after"] == _identity(place):
-        return False
-    return isinstance(place, Remote) or Seal(entry["size"], entry["checksum"], ()).broken(place) is not None
+        Raises: OutputError.
+        """
+        folder = self.folder if isinstance(self.folder, Path) else None
+        made = folder is not None and not folder.exists()
+        if folder is not None:
+            with output_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+        try:
+            yield
+        except BaseException:
+            if folder is not None and made:
+                with contextlib.suppress(OSError):  # it holds something
+                    folder.rmdir()
+            raise
 
 
 def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> None:
@@ -313,16 +115,16 @@ def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> No
         raise OutputError(f"{place} exists: name another file, or pass overwrite=True")
 
 
-def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions) -> Targets:
+def targets_of(out: str | Path | None, uris: Sequence[str]) -> Targets:
     """The outputs for some inputs: a file for one, a folder of files, or, for ``out`` None, the inputs themselves.
 
-    Raises: ParameterError for a name that does not fit the number of files, or without a local folder for a run into a store;
-    OutputError if an output is an input, or two would have one name.
+    Raises: ParameterError for a name that does not fit the number of files; OutputError if an output is an input, or two would
+    have one name.
     """
     sources = [place_of(uri) for uri in uris]
     alone = len(sources) == 1
     if out is None:
-        return beside(sources, options, alone, in_place=True)
+        return Targets(list(sources), in_place=True)
     place = place_of(out)
     one = place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place))
     if one and not alone:
@@ -334,56 +136,7 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
     for target in places:
         if _real(target) in inputs:
             raise OutputError(f"{target}: is an input; name another, or pass in_place=True to replace it")
-    if one:
-        return beside(places, options, alone)
-    return Targets(places, place, Store(_local(options.work, place, place) / _HIDDEN))
-
-
-def beside(places: list[Place], options: RunOptions, alone: bool, called: str = "", in_place: bool = False) -> Targets:
-    """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
-    all of them; of one input (``alone``) into a URL, in the user's folder for what programs keep.
-
-    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or by another user.
-    """
-    first = places[0].absolute()
-    near: Place = first if isinstance(first, Remote) else first.parent
-    name, short = f".{first.name}{_HIDDEN}", f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
-    if called:
-        name = f".{called}{_HIDDEN}"
-    elif len(places) > 1:
-        near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
-    elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        near, name = _of_user(), short
-    elif len(os.fsencode(name)) > _LONGEST:
-        name = short
-    store = Store(_local(options.work, first, near) / name)
-    if not options.resume and not options.overwrite and store.unfinished():
-        raise OutputError(
-            f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
-            "begin anew"
-        )
-    return Targets(places, None, store, in_place)
-
-
-def _of_user() -> Path:
-    """The user's folder for what programs keep. Raises: OutputError if it cannot be made, or is that of another user."""
-    import platformdirs
-
-    folder = platformdirs.user_state_path("jaxfilter")
-    check_own(folder, make=True)
-    return folder
-
-
-def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
-    """The local folder that is named, or the one ``beside`` the target. Raises: ParameterError."""
-    if work is None and isinstance(beside, Remote):
-        raise ParameterError(
-            f"work=None: {target} is not on a local disk, and a run needs a folder that all workers see: pass work=..."
-        )
-    local = beside if work is None else place_of(work)
-    if isinstance(local, Remote):
-        raise ParameterError(f"work={work!r}: must be a local folder")
-    return local
+    return Targets(places, None if one else place)
 
 
 def _real(place: Place) -> str:
@@ -402,13 +155,3 @@ def target_names(uris: Sequence[str]) -> list[str]:
             raise OutputError(f"{seen[name]} and {uri} would both be written as {name}: filter them into two folders")
         seen[name] = uri
     return list(seen)
-
-
-def _held(folder: Place) -> list[str]:
-    """Names in a folder, sorted. Raises OutputError."""
-    try:
-        return folder.held() if isinstance(folder, Remote) else sorted(os.listdir(folder))
-    except JaxfilterError as error:
-        raise OutputError(str(error)) from error
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be read: {error.strerror}") from error

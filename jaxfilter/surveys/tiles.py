@@ -7,7 +7,8 @@ and again, with the same outcome.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,28 @@ from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS
 from ..core.reading import Reading
+from ..core.result import Progress, silent
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
-from .area import within
 from .collection import common
-from .findings import Footprints
 
 _LEAST = 1e-9
 """Share of the smaller of two files from which on they overlap."""
+
+WHOLE = 8_000_000
+"""Points of all data up to which they are one tile."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Local:
+    """What the tile that is done now may use: threads (None = one per processor), and a callback for progress."""
+
+    threads: int | None = 1
+    progress: Progress = silent
+
+
+LOCAL: ContextVar[Local] = ContextVar("LOCAL", default=Local())  # noqa: B039
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +90,7 @@ _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
 
 
-def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, keep: bool = False) -> Around:
+def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None, keep: bool = False) -> Around:
     """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
 
     What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With ``keep``
@@ -92,7 +106,40 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, ke
     return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole, core=tile.core))
 
 
-def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
+class Memory:
+    """What is found of the one tile of a small file, until its outputs are written.
+
+    Attributes:
+        path: a folder for temporary files; None = the system's.
+    """
+
+    path: Path | None = None
+
+    def __init__(self) -> None:
+        self._found: dict[str, np.ndarray] = {}
+        self._around: Around | None = None
+
+    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
+        """The points of a tile, see :func:`read_tile`; here they are read once."""
+        around = self._around = self._around or read_tile(tile, reading, None, None)
+        if whole is None:
+            return around
+        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
+
+    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
+        """Keep what was found of the points of a tile, and let go of these."""
+        self._found, self._around = dict(arrays), None
+
+    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was found of the points of a tile; ``names``: those of it that are there."""
+        return self._found if names is None else {name: self._found[name] for name in names if name in self._found}
+
+    def discard(self) -> None:
+        """Remove all that is kept."""
+        self._found = {}
+
+
+def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     keys, shared = [np.zeros(0, np.uint64)], _overlapping(tile) if reading.drop_duplicates else set()
     left_out: dict[int, str] = {}
@@ -116,6 +163,8 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
             clouds.append(cloud)
             own = inside(cloud, tile.core)
             if reading.aoi is not None:
+                from .area import within
+
                 own &= within(reading.aoi, *cloud.coordinates()[:, :2].T)
             cores.append(own)
             numbers.append(number)
@@ -132,6 +181,8 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Aro
 
 def _overlapping(tile: Tile) -> set[int]:
     """The files of a tile that overlap with others. Text is left out, since it has nothing but coordinates to compare."""
+    from .findings import Footprints  # late: few files overlap
+
     rows = [row for row, source in enumerate(tile.sources) if source.format != "text"]
     pairs, _ = Footprints(np.array([tile.sources[row].bounds for row in rows]).reshape(-1, 4)).overlaps(_LEAST)
     return {tile.files[rows[row]] for row in pairs.ravel().tolist()}

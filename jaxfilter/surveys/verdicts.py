@@ -31,17 +31,18 @@ from ..methods.ost import OST
 from ..reports.places import SIDE
 from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
+from .claim import Claim, claim_of
 from .collection import Collection
 from .collection import open as open_collection
 from .kept import list_places, suspects_in
 from .measures import Recipe
 from .options import RunOptions
-from .product import CANDIDATE, Cut, FileTask, Product, found_in, gathered, packed
-from .report import RunReport, Summary
-from .run import Survey, check_in_place, open_files
-from .store import KEPT, Store
+from .product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
+from .report import REPORT, RunReport, Summary
+from .store import Store
 from .surroundings import ground_by_class
-from .targets import REPORT, Targets, beside
+from .survey import Survey, check_in_place, open_files
+from .targets import Targets
 from .tiles import Tile, inside, part_of
 
 LOG = "verdicts.json"
@@ -168,7 +169,7 @@ class VerdictProduct(Product):
         label, *_ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0)
-            write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, into=task.into)
+            write_cloud(task.target, cloud, found_in(label), self.classes, **task.how)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and write the log, which takes its place together with them."""
@@ -227,7 +228,7 @@ def apply_survey(
     if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
-    targets = beside(files, run, len(files) == 1, "verdicts", in_place=True)
+    targets = claim_of(Targets(list(files), in_place=True, called="verdicts"), run, len(files) == 1)
     with Store(targets.store.path.with_name(f".{LOG}.jaxfilter-run")).locked():  # nobody else notes verdicts meanwhile
         if run.resume and targets.store.done:  # what was renamed is listed in the log
             with targets.store.locked():
@@ -244,7 +245,7 @@ def apply_survey(
             if run.workers is None and run.client is None and len(found) <= _FEW:
                 run = dataclasses.replace(run, workers=1)
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-            logged = _Targets([*files, log.path], None, targets.store, True, log=log, new=new)
+            logged = _Targets([*files, log.path], in_place=True, store=targets.store, log=log, new=new)
             survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
             report = survey.run(VerdictProduct, sites=found, classes=classes)
         if not run.dry_run:
@@ -340,7 +341,7 @@ class _Log:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Targets(Targets):
+class _Targets(Claim):
     """Files, and behind them the log of their verdicts, which lists ``new`` ones when they are replaced."""
 
     log: _Log
@@ -408,5 +409,4 @@ def reviewed(
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
     collection, reading = open_files(what, reading)
-    targets = beside([out], run, len(collection) == 1)
-    return Survey(collection, targets, None, reading, run).run(ReviewProduct, ground=classes, path=path)
+    return Survey(collection, Targets([out]), None, reading, run).run(ReviewProduct, ground=classes, path=path)

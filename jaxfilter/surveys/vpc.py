@@ -1,7 +1,7 @@
 """Virtual point clouds: the files of a survey in one JSON file, as PDAL wrench and QGIS read and write them.
 
 A ``.vpc`` is a GeoJSON FeatureCollection of STAC 1.0.0 items with the extensions pointcloud 1.0.0 and projection 1.1.0
-(PDAL wrench, vpc-spec.md). It is read and written item by item, since it may have a million of them.
+(PDAL wrench, vpc-spec.md).
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from ..files.guard import reading_errors
 from ..files.sources import FARTHEST, NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
-_PIECE = 1 << 22  # characters that are read at a time
-_LONGEST = 1 << 20  # of a text within an item
 _SCHEMES = ("file", "s3", "gs", "az", "abfs", "http", "https")  # of names: others may do more than fetch a file
 _EXTENSIONS = [
     "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
@@ -55,48 +53,20 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
     known: dict[Any, tuple[Reference, str | None]] = {}
-    with reading_errors(place), opened(place) as (file, _):
-        for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
-            try:
-                yield _member(item, place, known, asked)
-            except _ODD as error:
-                if isinstance(error, InputError):
-                    raise
-                raise InputError(
-                    f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r:.300}"
-                ) from error
-
-
-def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
-    """The features of a FeatureCollection, one at a time."""
-    decoder, text, at = json.JSONDecoder(), "", 0
-
-    def more() -> bool:
-        nonlocal text, at
-        piece = file.read(_PIECE)
-        text, at = text[at:] + piece, 0
-        return bool(piece)
-
-    while (at := text.find('"features"')) < 0:
-        at = max(0, len(text) - 10)
-        if not more():
-            raise InputError(f"{name}: is no virtual point cloud: it has no features")
-    while (begin := text.find("[", at)) < 0:
-        if not more():
-            raise InputError(f"{name}: is no virtual point cloud: its features are no list")
-    at = begin + 1
-    while True:
-        while at < len(text) and text[at] in " \t\r\n,":
-            at += 1
-        if at < len(text) and text[at] == "]":
-            return
+    with reading_errors(place), opened(place, sequential=True) as (file, _):
+        content = json.load(TextIOWrapper(file, "utf-8"))
+    items = content.get("features") if isinstance(content, dict) else None
+    if not isinstance(items, list):
+        raise InputError(f"{place}: is no virtual point cloud: it has no list of features")
+    for number, item in enumerate(items):
         try:
-            item, at = decoder.raw_decode(text, at)
-        except json.JSONDecodeError as error:
-            if error.pos < len(text) - _LONGEST or not more():
-                raise InputError(f"{name}: ends or is damaged within its items: {error.msg}") from error
-            continue
-        yield item
+            yield _member(item, place, known, asked)
+        except _ODD as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r:.300}"
+            ) from error
 
 
 def _member(
@@ -156,13 +126,9 @@ def _resolved(href: str, place: Place) -> str:
 def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
     """Write the files that have points. Local names are relative to the folder of ``path``. Raises: OutputError."""
     folder = os.path.dirname(os.path.abspath(path))
-    with new_file(path, overwrite=overwrite) as part, part.open("w", encoding="utf-8", newline="\n") as file:
-        file.write('{"type": "FeatureCollection", "features": [')
-        mark = "\n"
-        for item in _features(sources, folder):
-            file.write(mark + json.dumps(item))
-            mark = ",\n"
-        file.write("\n]}\n")
+    content = {"type": "FeatureCollection", "features": list(_features(sources, folder))}
+    with new_file(path, overwrite=overwrite) as part:
+        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
     return path
 
 
