@@ -80,7 +80,11 @@ def reader_of(header: Header, file: BinaryIO, fields: laspy.DecompressionSelecti
 
 
 def read_points(
-    header: Header, bounds: Bounds | None = None, fields: laspy.DecompressionSelection = ALL, runs: Runs | None = None
+    header: Header,
+    bounds: Bounds | None = None,
+    fields: laspy.DecompressionSelection = ALL,
+    runs: Runs | None = None,
+    opened: BinaryIO | None = None,
 ) -> Iterator[tuple[Points, np.ndarray]]:
     """The points, up to a million at a time, in file order, and their numbers in the file, i64[k]; only those inside
     ``bounds`` if given.
@@ -89,10 +93,12 @@ def read_points(
         fields: :data:`ALL` or :data:`CLOUD`.
         runs: where runs of records lie: only those are read that may hold points inside the bounds. By default the nodes of
             the octree of COPC, and else the whole file.
+        opened: the file, if it is open.
 
     Raises: InputError if the points are damaged.
     """
-    with reading_errors(header.path), header.open() as file:
+    source = header.open() if opened is None else contextlib.nullcontext(opened)
+    with reading_errors(header.path), source as file:
         if header.unread is None:
             check_chunks(header, file)
         if header.is_copc and bounds is not None and runs is None:
@@ -279,8 +285,8 @@ class Writer:
         with self._heard.errors():
             self._laspy.write_points(Points(array, form))
 
-    def finish(self, source: Header | None) -> None:
-        """Complete the points and the header, and append what follows the points of ``source``. Raises: OSError, InputError."""
+    def finish(self, source: BinaryIO | None) -> None:
+        """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
         with self._heard.errors():
             self._laspy.close()
         made, file, old = self._laspy.header, self.file, self.header.head
@@ -302,27 +308,24 @@ class Writer:
             file.seek(107)
             file.write(struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist()))
         file.seek(0, 2)
-        if source is not None and source.tail < source.identity.size:
+        if source is not None:
             self._copy_tail(source)
 
-    def _copy_tail(self, source: Header) -> None:
-        at, kept = self.file.tell(), without_octree(source, source.evlrs)
-        fields = {}
-        with source.open() as file:
-            if len(kept) == len(source.evlrs):
-                file.seek(source.tail)
-                shutil.copyfileobj(file, self.file, 2**20)
-                starts = {227: source.waveform_start, 235: source.evlr_start}
-                inside = {
-                    field: start for field, start in starts.items() if source.tail <= start <= source.identity.size
-                }
-                fields = {field: start + at - source.tail for field, start in inside.items() if start}
-            else:
-                fields = {235: at} if kept else {}
-                for record in kept:
-                    file.seek(record.start)
-                    self.file.write(file.read(record.end - record.start))
-        for field, start in fields.items():
+    def _copy_tail(self, file: BinaryIO) -> None:
+        source, at = self.header, self.file.tell()
+        kept = without_octree(source, source.evlrs)
+        if len(kept) < len(source.evlrs):
+            starts = {235: at} if kept else {}
+            for record in kept:
+                file.seek(record.start)
+                self.file.write(file.read(record.end - record.start))
+        else:
+            file.seek(source.tail)
+            shutil.copyfileobj(file, self.file, 2**20)
+            old = {227: source.waveform_start, 235: source.evlr_start}
+            there = {field: start for field, start in old.items() if source.tail <= start <= source.identity.size}
+            starts = {field: start + at - source.tail for field, start in there.items() if start}
+        for field, start in starts.items():
             self.file.seek(field)
             self.file.write(struct.pack("<Q", start))
         if kept:

@@ -172,13 +172,13 @@ def write_cloud(
         copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
     again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again:
+    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as opened:
         if kind in TEXT_SUFFIXES:
-            _write_text(path, temporary, cloud, labels)
+            _write_text(path, temporary, cloud, labels, opened)
         else:
             plain = temporary.with_name("plain.las") if octree else temporary
             with open(plain, "x+b") as file:
-                _write_las(path, file, cloud, labels)
+                _write_las(path, file, cloud, labels, opened)
             if octree:
                 copc.write_octree(plain, temporary)
     return path
@@ -227,10 +227,11 @@ class _Labels:
         put_classes(points, header, new)
 
 
-def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels) -> None:
+def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, opened: BinaryIO | None) -> None:
+    """``opened``: the file that the cloud is of."""
     las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
-    chunks = _fresh_points(path, header, cloud) if las is None else las.records()
+    chunks = _fresh_points(path, header, cloud) if las is None or opened is None else las.records(opened)
     number = header.point_format
     most = largest(labels.rule)
     if number < 6 and most > 31 and not header.upper:
@@ -273,7 +274,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels) 
         writer.write(points, {name: labels.extra[name][rows] for name in added})
     if done < len(labels.ground):
         raise InputError(f"{header.path}: {CHANGED_SINCE}")
-    writer.finish(None if las is None else header)
+    writer.finish(opened)
 
 
 def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3)) -> np.ndarray:
@@ -326,7 +327,7 @@ def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Po
     if isinstance(cloud.source, TextFile):
         known = cloud.source.columns | known
     done = 0
-    for xyz in _runs(cloud):
+    for xyz in _runs(cloud, None):
         rows = slice(done, done := done + len(xyz))
         points = Points.zeros(len(xyz), laspy.PointFormat(header.point_format))
         for axis, ticks in zip("XYZ", _ticks(path, header, xyz).T, strict=True):
@@ -339,10 +340,10 @@ def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Po
         yield points
 
 
-def _runs(cloud: PointCloud) -> Iterator[np.ndarray]:
+def _runs(cloud: PointCloud, opened: BinaryIO | None) -> Iterator[np.ndarray]:
     """The coordinates in file units, f64[k, 3]: of the source file, or else of the cloud."""
-    if isinstance(cloud.source, Handle):
-        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(CLOUD))
+    if isinstance(cloud.source, Handle) and opened is not None:
+        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(opened, CLOUD))
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)
@@ -353,7 +354,7 @@ def _runs(cloud: PointCloud) -> Iterator[np.ndarray]:
             yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan)
 
 
-def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, opened: BinaryIO | None) -> None:
     source: Handle | TextFile | None = cloud.source
     if isinstance(source, TextFile):
         source.rewrite(temporary, labels.ground, lambda old: labels.classes(old, slice(None)))
@@ -364,7 +365,7 @@ def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
         done = 0
-        for xyz in _runs(cloud):
+        for xyz in _runs(cloud, opened):
             rows = slice(done, done := done + len(xyz))
             write_table(file, xyz, labels.ground[rows], decimals, delimiter)
 
