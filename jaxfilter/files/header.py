@@ -166,24 +166,6 @@ class Header:
             struct.pack_into("<I", data, 12, max(self.count, 1))
         return bytes(data)
 
-    @functools.cached_property
-    def shown(self) -> bytes:
-        """``head`` as laspy is to see it, of the same length: points and their compression, with one count; no record that
-        it would interpret, since what it makes of damaged or doubled ones is no error of the points."""
-        minor = 4 if self.minor >= 4 else 2
-        size, data = HEADER_LENGTHS[minor], b""
-        if self.compressed and self.count:
-            data = self.decoder
-            data = struct.pack("<H16sHH32x", 0, LASZIP[0].encode(), LASZIP[1], len(data)) + data
-        head = bytearray(len(self.head))
-        head[:4], head[24:26], head[104:131] = b"LASF", bytes((1, minor)), self.head[104:131]
-        head[131:179], head[size : size + len(data)] = self.head[131:179], data
-        struct.pack_into("<HII", head, 94, size, len(head), bool(data))
-        struct.pack_into("<I", head, 107, 0 if minor == 4 else self.count)
-        if minor == 4:
-            struct.pack_into("<Q", head, 247, self.count)
-        return bytes(head)
-
     def remarks(self) -> Iterator[str]:
         """What the header says of the number of points that contradicts itself or the file."""
         full, legacy, said = self.full_count, self.legacy_count, f"the header announces {self.count} points"

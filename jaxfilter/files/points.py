@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
 import shutil
 import struct
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ import lazrs
 import numpy as np
 
 from ..core.echoes import sample
-from ..core.errors import InputError, OutputError
+from ..core.errors import OutputError
 from ..core.inputs import COLUMNS
 from ..core.process import need_threads
 from ..core.reading import inside
@@ -36,47 +35,6 @@ Points: TypeAlias = laspy.PackedPointRecord
 CLOUD = laspy.DecompressionSelection.base().decompress_z().decompress_classification().decompress_flags()
 ALL = laspy.DecompressionSelection.all()
 """Fields of LAZ of point formats 6 and above that are decompressed; the others are 0, which is faster."""
-
-
-class _Shown(io.RawIOBase):
-    """A file as laspy is to see it: ``head`` in place of its own first bytes, as many."""
-
-    def __init__(self, file: BinaryIO, head: bytes) -> None:
-        self._file, self._head = file, memoryview(head)
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        return self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        return self._file.tell()
-
-    def readinto(self, buffer: Any) -> int:
-        at, view = self._file.tell(), memoryview(buffer)
-        if at >= len(self._head):
-            return int(self._file.readinto(buffer))  # type: ignore[attr-defined]
-        part = self._head[at : at + len(view)]
-        view[: len(part)] = part
-        self._file.seek(at + len(part))
-        return len(part)
-
-
-def reader_of(header: Header, file: BinaryIO, fields: laspy.DecompressionSelection = ALL) -> laspy.LasReader:
-    """A reader of the points of an open file, which has passed the guard."""
-    need_threads()
-    file.seek(0)
-    return laspy.LasReader(
-        _Shown(file, header.shown),
-        closefd=False,
-        laz_backend=laspy.LazBackend.LazrsParallel,
-        read_evlrs=False,
-        decompression_selection=fields,
-    )
 
 
 def read_points(
@@ -101,39 +59,28 @@ def read_points(
     with reading_errors(header.path), source as file:
         if header.unread is None:
             check_chunks(header, file)
-        if header.is_copc and bounds is not None and runs is None:
-            runs = nodes(header, file)
-        if runs is None or bounds is None:
-            parts = enumerate(reader_of(header, file, fields).chunk_iterator(CHUNK))
-            chunks = ((part, k * CHUNK + np.arange(len(part))) for k, part in parts)
-        else:
-            groups = runs.meeting(bounds).groups(CHUNK)
-            chunks = ((_decoded(header, file, group, fields), group.records) for group in groups)
-        done = 0
-        for points, numbers in chunks:
-            done += len(points)
+        if runs is None:
+            runs = nodes(header, file) if header.is_copc and bounds is not None else Runs.of_file(header, file)
+        for group in (runs if bounds is None else runs.meeting(bounds)).groups(CHUNK):
+            points, numbers = decoded(header, file, group, fields), group.records
             if bounds is not None:
                 kept = inside(coordinates(points, header, 2), bounds)
                 points, numbers = points[kept], numbers[kept]
             yield points, numbers
-        if done < header.count and (runs is None or bounds is None):
-            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
 
 
-def _decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
-    """The points of some runs. laspy has no call for a part of LAZ that is right for chunks of several sizes: its ``seek`` takes
-    them for equal ones (laspy 2.7, lazrs 0.8), so the chunks are decoded as its reader of COPC does."""
-    packed = b"".join(
-        pieces(header, file, runs.start[k : k + 1], int(runs.size[k])).data for k in range(len(runs.start))
-    )
-    if header.compressed:
-        records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
-        selection = fields.to_lazrs()
-        need_threads()
-        table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
-        lazrs.decompress_points_with_chunk_table(packed, header.decoder, records, table, selection)
-        return Points.from_buffer(records, format_of(header))
-    return Points.from_buffer(packed, format_of(header))
+def decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
+    """The points of some runs. As laspy's reader of COPC does it: its ``seek`` takes chunks of several sizes for equal ones
+    (laspy 2.7, lazrs 0.8), and returns other points."""
+    parts = [pieces(header, file, runs.start[k : k + 1], int(runs.size[k]))[0] for k in range(len(runs.start))]
+    packed = np.concatenate([np.zeros(0, np.uint8), *parts])
+    if not header.compressed:
+        return Points.from_buffer(packed, format_of(header))
+    records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
+    need_threads()
+    table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
+    lazrs.decompress_points_with_chunk_table(packed, header.decoder, records, table, fields.to_lazrs())
+    return Points.from_buffer(records, format_of(header))
 
 
 def format_of(header: Header, more: int = 0) -> laspy.PointFormat:
@@ -174,7 +121,7 @@ def sampled_points(header: Header, file: BinaryIO) -> Points:
         points[at] = np.minimum(found.points[at], part.stop - found.first[at])
     if not header.compressed:
         found = dataclasses.replace(found, size=points * header.record_length)
-    return _decoded(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
+    return decoded(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
 
 
 def sampled_extent(header: Header, file: BinaryIO, some: Points) -> np.ndarray:
