@@ -46,7 +46,7 @@ def test_windows_are_those_of_the_local_file(tmp_path, server, name):
     same = dataclasses.replace(remote, uri=local.uri, identity=local.identity, bounds=local.bounds, z=local.z)
     assert same == local and remote.identity
     for box in boxes_of(local.bounds, n=2):
-        window = read_window(remote, box, tmp_path / "index")
+        window = read_window(remote, box)
         assert_is_mask(window, path, box)
     again = jf.read(f"{server.url}/{name}", bounds=box)
     assert again.xyz.tobytes() == window.cloud.xyz.tobytes()

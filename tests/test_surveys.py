@@ -388,7 +388,7 @@ def stopped(survey, out):
     return how
 
 
-@pytest.mark.parametrize("name", ["tiles", "tiles/0", "files", "index", "lock", "run.json", "tiles/0/planted.tile"])
+@pytest.mark.parametrize("name", ["tiles", "tiles/0", "files", "lock", "run.json", "tiles/0/planted.tile"])
 def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhere, name):
     """To go on with such a run is refused; to begin anew leaves what they lead to as it is."""
     out, (folder, content) = tmp_path / "out", elsewhere

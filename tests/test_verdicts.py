@@ -274,7 +274,7 @@ def test_files_have_the_labels_of_memory(survey, xyz, wrong, tmp_path):
     jf.apply_survey(places, survey, run=ONE)
     cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
     like = dataclasses.replace(labelled(xyz, wrong & (old == 2)))
-    filter_ = Sampler(jf.open(survey), jf.Reading(), survey / "index").filter_for(Recipe())
+    filter_ = Sampler(jf.open(survey), jf.Reading()).filter_for(Recipe())
     memory = jf.apply(dataclasses.replace(like, run=dataclasses.replace(like.run, cloud=cloud, filter=filter_)), places)
     np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
 

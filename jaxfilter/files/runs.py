@@ -1,7 +1,7 @@
 """Runs of point records, and the area that each covers: which part of a file has to be read for a box.
 
 The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN` records of LAS. What area the points of a run of LAS or LAZ
-cover is found by one pass over the file, and can be kept. The octree of COPC says it (Hobu Inc., COPC specification 1.0: info
+cover is found by one pass over the file. The octree of COPC says it (Hobu Inc., COPC specification 1.0: info
 record of 160 bytes, hierarchy pages of 32-byte entries).
 """
 
@@ -10,13 +10,12 @@ from __future__ import annotations
 import dataclasses
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from ..core.errors import InputError, warn
-from .disk import Bounds, new_file
+from .disk import Bounds
 from .guard import chunk_table, pieces
 from .header import Header
 from .storage import Remote
@@ -82,22 +81,6 @@ class Runs:
         """i64[n]: the numbers of the records, run after run."""
         ends = np.cumsum(self.points)
         return np.arange(int(self.points.sum())) + np.repeat(self.first - ends + self.points, self.points)
-
-    def save(self, path: Path, fingerprint: str) -> None:
-        """Keep them for the file that has this fingerprint. Raises OutputError."""
-        with new_file(path, overwrite=True) as part, open(part, "wb") as file:
-            np.savez_compressed(file, fingerprint=np.array(fingerprint), **dataclasses.asdict(self))
-
-    @classmethod
-    def load(cls, path: Path, fingerprint: str) -> Runs | None:
-        """What was kept for the file of this fingerprint; None if there is nothing, or nothing for this file."""
-        try:
-            with np.load(path) as kept:
-                if kept["fingerprint"].item() == fingerprint:
-                    return cls(*(kept[field.name] for field in dataclasses.fields(cls)))
-        except Exception:  # damaged ones, for which NumPy, zipfile and zlib have many errors, are made anew
-            pass
-        return None
 
 
 def nodes(header: Header, file: BinaryIO) -> Runs:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import hashlib
 from pathlib import Path
 from typing import cast
 
@@ -19,7 +17,7 @@ from .guard import reading_errors
 from .handles import Handle
 from .header import Header
 from .points import ALL, CLOUD, Points, echo_keys, measured
-from .reading import LasFile, kept_las
+from .reading import kept_las
 from .runs import Runs, nodes
 from .sources import Source
 from .storage import Place
@@ -47,7 +45,6 @@ class Window:
 def read_window(
     source: Source,
     box: Bounds | None = None,
-    index: Path | None = None,
     reading: Reading = Reading(),  # noqa: B008
     keys: bool = False,
 ) -> Window:
@@ -55,14 +52,12 @@ def read_window(
 
     Boxes that adjoin share no point and lose none. A box that holds the whole file is read in one pass. Else, of COPC the octree
     and the nodes concerned are read, of LAS and LAZ the runs of records or chunks concerned; where these lie is found in
-    one pass over the file, the first time, and kept. Text is read whole, and a process keeps the last text file that it
+    one pass over the file, the first time in a process. Text is read whole, and a process keeps the last text file that it
     read.
 
     Args:
         source: the file. If it has an ``identity``, the file must still be the same.
         box: (xmin, ymin, xmax, ymax), file coordinates; None = all points.
-        index: folder in which the areas of runs and chunks are kept, one small file for each file, for other processes and
-            later runs. It is made if missing. By default only this process keeps them.
         reading: which points are candidates, and the anchor of grids; the units are those of the source.
         keys: read what tells echoes from one another as well.
 
@@ -77,7 +72,7 @@ def read_window(
     _check_identity(source, file.header)
     x0, y0, x1, y1 = source.bounds
     whole = cut is None or not source.count or (cut[0] <= x0 and cut[1] <= y0 and x1 < cut[2] and y1 < cut[3])
-    runs = None if whole else runs_of(file, index)
+    runs = None if whole else _runs(place, file.header.identity)
     record, key = [np.zeros(0, np.int64)], [np.zeros(0, np.uint64)]
 
     def note(points: Points, numbers: np.ndarray) -> None:
@@ -129,30 +124,6 @@ def _text_window(source: Source, reading: Reading) -> Window:
         open_text(file.path, cut, drop_invalid=False)  # which names the line
     part = file.within(cut)
     return Window(part.cloud(reading), np.flatnonzero(part.rows))
-
-
-def runs_of(file: LasFile, index: Path | None = None) -> Runs:
-    """The runs of records of a file, and the area that each covers; see :func:`read_window` for ``index``. Raises: InputError if
-    the file is damaged."""
-    header = file.header
-    if index is None or header.is_copc:
-        return _runs(header.path, header.identity)
-    name = hashlib.sha256(str(header.path.absolute()).encode()).hexdigest()[:24]
-    path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
-    kept = None
-    with contextlib.suppress(OSError):  # there is none yet
-        kept = _loaded(path, Identity.of(path), header.fingerprint)
-    if kept is None:
-        kept = _runs(header.path, header.identity)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        kept.save(path, header.fingerprint)
-    return kept
-
-
-@functools.lru_cache(_FILES)
-def _loaded(path: Path, identity: Identity, fingerprint: str) -> Runs | None:
-    """``identity`` is that of the index now: a run that is begun anew makes another."""
-    return Runs.load(path, fingerprint)
 
 
 @functools.lru_cache(_FILES)

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,19 +93,16 @@ def middle(box: Bounds, share: float, metre: float) -> Bounds:
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
-    """Reads windows of a collection. ``index``: see :func:`jaxfilter.files.windows.read_window`."""
+    """Reads windows of a collection."""
 
     collection: Collection
     reading: Reading
-    index: Path
 
     def clouds(self, each: int = _POINTS, most: int = 0) -> list[PointCloud]:
         """Windows in the middle of files that are spread evenly over the points, with about ``each`` points, of at least two.
 
         A collection of ``most`` points or fewer is its own sample, in one piece, however few they are. Files that cannot be
         read are passed over.
-
-        Raises: InputError if points are not those that were read before.
         """
         collection = self.collection
         if not collection.count:
@@ -119,7 +115,7 @@ class Sampler:
             source = collection[number]
             box = None if entire else middle(source.bounds, each / source.count, source.metre)
             try:
-                window = read_window(source, box, self.index, self.reading)
+                window = read_window(source, box, self.reading)
             except InputError:
                 continue  # the run names it
             if entire or len(canonical_points(window.cloud)) > 1:

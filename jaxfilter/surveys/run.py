@@ -88,8 +88,8 @@ class TiledSurvey(Survey):
                 raise
             if targets.folder is not None:
                 run.report.put_into(targets.folder)
-            if run.report.complete:
-                store.discard() if targets.folder is None else store.drop_index()
+            if run.report.complete and targets.folder is None:
+                store.discard()
         return run.report
 
     def _done_before(self, kind: type[Product], settings: dict[str, Any]) -> list[dict[str, str]] | None:
@@ -164,15 +164,15 @@ class TiledSurvey(Survey):
         if begun and "parameters" in facts:
             found = facts["parameters"]
             return FILTERS[found["method"]](**found["fields"]), whole
-        filter_, index = recipe.alone(), self.targets.store.index
+        filter_ = recipe.alone()
         if self.options.tile is None and self.collection.count <= WHOLE:
             if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
                 used = tuple(np.flatnonzero(self.collection.counts).tolist())
                 sources = tuple(self.collection[number] for number in used)
                 everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
-                filter_ = recipe.on(read_tile(everything, self.reading, whole, index, keep=True).cloud)
+                filter_ = recipe.on(read_tile(everything, self.reading, whole, keep=True).cloud)
             return filter_, whole
-        sampler = Sampler(self.collection, self.reading, index)
+        sampler = Sampler(self.collection, self.reading)
         if filter_ is None or recipe.by_data:
             filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole

@@ -52,11 +52,6 @@ class Store(Memory):
         self.facts: dict[str, Any] = {}
         check_own(path)
 
-    @property
-    def index(self) -> Path:
-        """Where it is kept what files hold where, see :func:`jaxfilter.files.windows.read_window`."""
-        return self.path / "index"
-
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
         """A block that has the folder, which is made if missing; it goes if nothing was recorded in the block.
@@ -104,10 +99,6 @@ class Store(Memory):
                 elif place.name != _LOCK:
                     place.unlink()
         self.facts = {}
-
-    def drop_index(self) -> None:
-        """Remove what was found out about inputs."""
-        shutil.rmtree(self.index, ignore_errors=True)
 
     def discard(self) -> None:
         """Remove the folder. Raises: OutputError if it is not of this user's own."""
@@ -157,7 +148,7 @@ class Store(Memory):
 
     def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
         """The points of a tile and its halo, see :func:`jaxfilter.surveys.tiles.read_tile`."""
-        return read_tile(tile, reading, whole, self.index)
+        return read_tile(tile, reading, whole)
 
     def tile(self, number: int) -> Path:
         """Where the file of a tile is."""

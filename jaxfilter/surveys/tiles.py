@@ -90,15 +90,15 @@ _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
 
 
-def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None, keep: bool = False) -> Around:
+def read_tile(tile: Tile, reading: Reading, whole: Whole | None, keep: bool = False) -> Around:
     """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
 
     What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With ``keep``
-    they are kept for whoever asks next in this process. ``index``: see :func:`jaxfilter.files.windows.read_window`.
+    they are kept for whoever asks next in this process.
     """
     key = (tile.window, tile.sources, reading)
     kept = _KEPT.pop() if _KEPT else None
-    around = kept[1] if kept is not None and kept[0] == key else _read(tile, reading, whole, index)
+    around = kept[1] if kept is not None and kept[0] == key else _read(tile, reading, whole)
     if keep:
         _KEPT.append((key, around))
     if whole is None and tile.core is None:
@@ -121,7 +121,7 @@ class Memory:
 
     def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
         """The points of a tile, see :func:`read_tile`; here they are read once."""
-        around = self._around = self._around or read_tile(tile, reading, None, None)
+        around = self._around = self._around or read_tile(tile, reading, None)
         if whole is None:
             return around
         return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
@@ -139,7 +139,7 @@ class Memory:
         self._found = {}
 
 
-def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None) -> Around:
+def _read(tile: Tile, reading: Reading, whole: Whole | None) -> Around:
     clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     keys, shared = [np.zeros(0, np.uint64)], _overlapping(tile) if reading.drop_duplicates else set()
     left_out: dict[int, str] = {}
@@ -148,7 +148,7 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path | None)
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             continue
         try:
-            window = read_window(source, box, index, reading, number in shared)
+            window = read_window(source, box, reading, number in shared)
         except InputError as error:
             if not tile.patient:
                 raise
