@@ -181,9 +181,8 @@ def test_feet_and_metres_agree(method, small, found, unit):
 @pytest.mark.parametrize("method", [jf.SMRF, jf.PTD])
 def test_values_of_points_go_to_rows_and_back(method, small, rng):
     xyz = rng.permutation(np.concatenate([small[0], small[0][:500]]))
-    cloud = jf.PointCloud.from_arrays(
-        xyz, return_number=np.ones(len(xyz)), number_of_returns=rng.integers(1, 3, len(xyz))
-    )
+    total = rng.integers(1, 3, len(xyz))
+    cloud = jf.PointCloud.from_arrays(xyz, return_number=rng.integers(1, total + 1), number_of_returns=total)
     points, value = method().points_of(cloud), cloud.xyz @ [1.0, 7.0, 31.0]
     assert 0 < cloud.candidate.sum() < len(cloud)
     rows = points.gather(value)

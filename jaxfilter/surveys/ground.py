@@ -25,6 +25,7 @@ from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
+from .small import carry_out
 from .survey import survey_of_points
 from .targets import Targets
 from .tiles import LOCAL, Around, Tile, part_of
@@ -162,7 +163,8 @@ def ground(
     if listed is not None and outlined is not None and listed.absolute() == outlined.absolute():
         raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the places (review=): name another")
     survey = survey_of_points(what, out, recipe, reading, run)
-    return survey.run(
+    return carry_out(
+        survey,
         GroundProduct,
         classes=classes,
         extra=tuple(Additions(extra).extra),

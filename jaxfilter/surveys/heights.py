@@ -22,6 +22,7 @@ from .kept import list_places, suspects_in
 from .options import RunOptions
 from .product import FileTask, packed
 from .report import RunReport, Summary
+from .small import carry_out
 from .surroundings import FIND_GROUND, HALOS, GroundNeeded, GroundSource, source_of_ground
 from .survey import survey_of_points
 from .targets import Targets
@@ -123,6 +124,11 @@ def heights(
     survey = survey_of_points(what, out, recipe, reading, run)
     if wrong := [place for place in survey.targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
-    return survey.run(
-        HeightProduct, data=survey.collection.bounds, classes_of_ground=classes, grain=_GRAIN, replace_z=replace_z
+    return carry_out(
+        survey,
+        HeightProduct,
+        data=survey.collection.bounds,
+        classes_of_ground=classes,
+        grain=_GRAIN,
+        replace_z=replace_z,
     )

@@ -32,6 +32,7 @@ from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
 from .product import KEPT
 from .report import RunReport, Summary
+from .small import carry_out
 from .surroundings import FIND_GROUND, GroundNeeded, GroundSource, source_of_ground
 from .survey import Survey, open_files
 from .targets import Targets
@@ -269,7 +270,8 @@ def make_rasters(
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
-    return survey.run(
+    return carry_out(
+        survey,
         RasterProduct,
         data=collection.bounds,
         classes_of_ground=classes,

@@ -49,7 +49,7 @@ _WAIT = 0.25  # seconds between looks at the progress
 
 
 def in_tiles(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
-    """Make a product of a survey in tiles. Returns, raises: as ``Survey.run``."""
+    """Make a product of a survey in tiles. Returns, raises: as ``carry_out``."""
     files, options = survey.collection, survey.options
     claim = survey.targets if isinstance(survey.targets, Claim) else claim_of(survey.targets, options, len(files) == 1)
     return TiledSurvey(files, claim, survey.recipe, survey.reading, options).carried_out(kind, settings)
@@ -62,7 +62,7 @@ class TiledSurvey(Survey):
     targets: Claim
 
     def carried_out(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
-        """Set the filter up, cut the survey into tiles, and do what is to be done. Returns, raises: as ``Survey.run``."""
+        """Set the filter up, cut the survey into tiles, and do what is to be done. Returns, raises: as ``carry_out``."""
         if self.options.dry_run:
             return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store

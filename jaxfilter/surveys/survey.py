@@ -1,33 +1,20 @@
-"""From what a command asks for to its outputs: files are opened, outputs are named, and a file that is small is done in memory.
-
-What is large or many is cut into tiles, see ``run.py``.
-"""
+"""What a command asks for: the files are opened, and the outputs are named."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
-import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ..core.cloud import Whole
 from ..core.errors import ParameterError, warn
 from ..core.process import check_main
 from ..core.reading import Reading
-from ..files.copc import check_format, is_copc
-from ..files.disk import is_there
 from .collection import Collection
 from .collection import open as open_collection
-from .measures import Recipe, whole_of
-from .options import RunOptions, check_memory
-from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
-from .report import REPORT, RunReport, Standing
+from .measures import Recipe
+from .options import RunOptions
 from .targets import Targets, check_out, targets_of
-from .tiles import LOCAL, WHOLE, Local, Memory, Tile
 
 
 def check_in_place(reading: Reading) -> None:
@@ -79,91 +66,6 @@ class Survey:
     recipe: Recipe | None
     reading: Reading
     options: RunOptions
-
-    def run(self, kind: type[Product], **settings: Any) -> Any:
-        """Do what is to be done: one small file in memory, and the rest in tiles. Returns: the report of the product.
-
-        ``settings``: the fields of the product, besides those of every :class:`Product`.
-
-        Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
-        of a single small file what is wrong with it.
-        """
-        files, options = self.collection, self.options
-        for source, place in zip(files, self.targets.places, strict=False):
-            if is_copc(place) and source.point_format is not None:
-                check_format(place, source.point_format)
-        if len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run:
-            return in_memory(self, kind, settings)
-        from .run import in_tiles
-
-        return in_tiles(self, kind, settings)
-
-
-def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
-    """Make a product of one small file. Returns, raises: as ``Survey.run``."""
-    files, targets, options, reading = survey.collection, survey.targets, survey.options, survey.reading
-    store, start, replaced = Memory(), time.perf_counter(), options.overwrite or options.resume
-    product = kind(reading, None, store, None, options.halo, **settings)
-    made = [*targets.places, *([] if targets.folder is None else [targets.folder / REPORT])]
-    if options.resume and not options.overwrite and not targets.in_place and all(map(is_there, made)):
-        return kind.REPORT(files=[str(place) for place in targets.places], was_complete=True)
-    targets.check(options)
-    check_memory(options, files.count)
-    with targets.made_folder():
-        source, wanted = files[0], True
-        if reading.aoi is not None:
-            from .area import meeting
-
-            wanted = bool(meeting(reading.aoi, files.footprints).any())
-        tiles = (0,) if source.count and wanted else ()
-        tile = Tile(0, None, None, (0,), (source,))
-        product = _set_up(survey, product, tile)
-        report = kind.REPORT(tiles=len(tiles), cores=np.array([files.bounds] * len(tiles)).reshape(-1, 4))
-        report.state = np.full(len(tiles), math.nan)
-        standing = Standing("tiles", 1, 0, int(product.writes_files))
-        show = options.progress or (lambda standing: None)
-        if tiles:
-            local = LOCAL.set(Local(options.workers, lambda share, step: show(_at(standing, share, step))))
-            try:
-                summary, arrays = done_tile(product, tile)
-            finally:
-                LOCAL.reset(local)
-            store.put(0, arrays, {})
-            report.add(summary)
-            report.state[0] = summary.ground / summary.points if summary.points else math.nan
-            standing.points, standing.read = summary.points, summary.read
-        standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
-        show(standing)
-        product.complete(report, files, targets, options)
-        if product.writes_files and wanted and (tiles or not targets.in_place):
-            how = {"overwrite": replaced, "in_place": targets.in_place}
-            seconds, remarks = done_file(product, FileTask(0, source, tiles, targets.places[0], how))
-            report.remarks.update(remarks)
-            report.seconds["write"] += seconds
-            report.files.append(str(targets.places[0]))
-        report.elapsed = time.perf_counter() - start
-        if targets.folder is not None:
-            report.put_into(targets.folder)
-    return report
-
-
-def _at(standing: Standing, share: float, step: str) -> Standing:
-    """How far a filter is."""
-    return dataclasses.replace(standing, step=step, share=share)
-
-
-def _set_up(survey: Survey, product: Product, tile: Tile) -> Product:
-    """With the filter, and the measures of the scene that are given."""
-    recipe, whole = survey.recipe, whole_of(survey.options.measures)
-    if recipe is None:
-        return dataclasses.replace(product, whole=whole or Whole())
-    filter_ = recipe.alone()
-    if filter_ is None or recipe.by_data:
-        filter_ = recipe.on(product.store.read(tile, survey.reading, whole).cloud)
-    product = dataclasses.replace(product, filter=filter_, whole=whole)
-    if whole is not None and sees_lowest(filter_):
-        product = dataclasses.replace(product, whole=dataclasses.replace(whole, lowest=lowest_in_tile(product, tile)))
-    return product
 
 
 def survey_of_points(

@@ -39,6 +39,7 @@ from .measures import Recipe
 from .options import RunOptions
 from .product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
 from .report import REPORT, RunReport, Summary
+from .small import carry_out
 from .store import Store
 from .surroundings import ground_by_class
 from .survey import Survey, check_in_place, open_files
@@ -247,7 +248,7 @@ def apply_survey(
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
             logged = _Targets([*files, log.path], in_place=True, store=targets.store, log=log, new=new)
             survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
-            report = survey.run(VerdictProduct, sites=found, classes=classes)
+            report = carry_out(survey, VerdictProduct, sites=found, classes=classes)
         if not run.dry_run:
             targets.discard()  # the log tells what is done
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
@@ -409,4 +410,4 @@ def reviewed(
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
     collection, reading = open_files(what, reading)
-    return Survey(collection, Targets([out]), None, reading, run).run(ReviewProduct, ground=classes, path=path)
+    return carry_out(Survey(collection, Targets([out]), None, reading, run), ReviewProduct, ground=classes, path=path)
