@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from .core.filter import Filter
     from .core.reading import Reading
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .files.reading import Classes, class_changes, info, read, write
+    from .files.reading import Classes, class_changes, read, write
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
+    from .reports.info import info
     from .reports.page import ReportOptions, report
     from .reports.places import review
     from .scoring import Scores, evaluate
@@ -49,7 +50,7 @@ _HOMES = {
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD",
     "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default": ("default_filter",),
-    "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster": ("Raster",),
+    "files.reading": ("class_changes", "Classes", "read", "write"), "reports.info": ("info",), "terrain.raster": ("Raster",),
     "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
     "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
     "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),

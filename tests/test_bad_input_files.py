@@ -18,7 +18,8 @@ from laspy import LazBackend
 
 from jaxfilter.core.cloud import PointCloud, as_cloud
 from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError
-from jaxfilter.files.reading import info, read, write
+from jaxfilter.files.reading import read, write
+from jaxfilter.reports.info import info
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,8 @@ from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.reading import Reading
 from jaxfilter.files import guard, points
-from jaxfilter.files.reading import info, read, write
+from jaxfilter.files.reading import read, write
+from jaxfilter.reports.info import info
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 

@@ -20,7 +20,8 @@ from las_files import Effort
 
 from jaxfilter.core.errors import InputError, JaxfilterWarning
 from jaxfilter.files import text
-from jaxfilter.files.reading import info, read, write
+from jaxfilter.files.reading import read, write
+from jaxfilter.reports.info import info
 
 EVERY = {"returns": "all", "ignore_classes": (), "keep_withheld": True, "units": "m"}  # all points are candidates
 

@@ -35,9 +35,9 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
     Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
     what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
     """
-    from ..files import reading
     from ..files.disk import new_file
     from ..files.storage import place_of
+    from ..reports import info as of_file
 
     how, overwrite = take(Reading, options), options["overwrite"]
     for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
@@ -47,7 +47,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
     one_file = len(names) == 1 and isinstance(place, Path) and place.is_file() and place.suffix.lower() != ".vpc"
     if one_file and vpc is None and picture is None:
         with session.reading(place):
-            about = reading.info(place, units=how.units, crs=how.crs)
+            about = of_file.info(place, units=how.units, crs=how.crs)
         lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in about.items()}
         width = max(len(k) for k in lines)
         return Answer(about, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)

@@ -85,29 +85,22 @@ def decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.Decompress
 
 def format_of(header: Header, more: int = 0) -> laspy.PointFormat:
     """The point format, with all extra bytes, and ``more`` of them, as one dimension ``ExtraBytes``."""
-    form, extra = (
-        laspy.PointFormat(header.point_format),
-        header.record_length + more - RECORD_LENGTHS[header.point_format],
-    )
-    if extra:
-        form.add_extra_dimension(laspy.ExtraBytesParams("ExtraBytes", f"{extra}u1"))
+    form, extra = laspy.PointFormat(header.point_format), header.record_length - RECORD_LENGTHS[header.point_format]
+    if extra + more:
+        form.add_extra_dimension(laspy.ExtraBytesParams("ExtraBytes", f"{extra + more}u1"))
     return form
 
 
 def measured(header: Header) -> tuple[Runs, np.ndarray]:
     """The runs of records of a file with the areas that their points cover, and lowest and highest x, y, z of all, f64[2, 3]:
     by a pass over the file. Raises: InputError."""
+    ends = [np.zeros((2, 0, 3), np.int32)]
     with reading_errors(header.path), header.open() as file:
         runs = Runs.of_file(header, file)
-    low, high = np.full((len(runs.first), 3), 2**31), np.full((len(runs.first), 3), -(2**31))
-    for points, numbers in read_points(header, fields=CLOUD):
-        ticks = integers(points)
-        first, last = np.searchsorted(runs.first, numbers[[0, -1]], side="right")
-        rows = slice(first - 1, last)
-        at = np.maximum(runs.first[rows] - numbers[0], 0)
-        low[rows] = np.minimum(low[rows], np.minimum.reduceat(ticks, at))
-        high[rows] = np.maximum(high[rows], np.maximum.reduceat(ticks, at))
-    low, high = low * header.scales + header.offsets, high * header.scales + header.offsets
+        for group in runs.groups(CHUNK):
+            ticks, at = integers(decoded(header, file, group, CLOUD)), np.cumsum(group.points) - group.points
+            ends.append(np.stack([np.minimum.reduceat(ticks, at), np.maximum.reduceat(ticks, at)]))
+    low, high = np.concatenate(ends, axis=1) * header.scales + header.offsets
     extent = np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else np.full((2, 3), np.nan)
     return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
 

@@ -14,9 +14,7 @@ from laspy import DecompressionSelection
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError, warn
-from ..core.frame import ends
 from ..core.inputs import COLUMNS, is_laspy
-from ..core.points import canonical_points
 from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
@@ -44,7 +42,7 @@ from .writing import LAS_SUFFIXES, write
 if TYPE_CHECKING:
     import laspy
 
-__all__ = ["Classes", "class_changes", "info", "read", "write"]
+__all__ = ["Classes", "class_changes", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
 _FILES = 64  # whose headers a process keeps
@@ -107,60 +105,11 @@ def read(
         las: Any = path
         if cut is not None:
             las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
-        return _warn_if_empty("LasData", PointCloud.from_laspy(las, **reading.of_points()), cut)
+        return warn_if_empty("LasData", PointCloud.from_laspy(las, **reading.of_points()), cut)
     place = place_of(path)
-    file = _opened(place, reading)
+    file = open_points(place, reading)
     cloud = file.cloud(reading) if isinstance(file, TextFile) else file.cloud(reading, progress or silent)
-    return _warn_if_empty(place, cloud, cut)
-
-
-def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: Any = None) -> dict[str, Any]:
-    """What is in a file, for people and for JSON; angular, geocentric and far-off coordinates are no error here.
-
-    ``units``, ``crs``: as of :func:`read`.
-
-    Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
-    (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``extra_bytes`` (names of extra dimensions), ``classes`` and
-    ``echoes`` (counts), ``withheld``, ``overlap``, ``candidates``, and of the candidates ``spacing`` (m) and ``density``
-    (per m2 of occupied area). None where a file says nothing.
-
-    >>> facts = jf.info("scene.laz", units="m")
-    >>> facts["points"] == len(cloud), facts["format"]
-    (True, 'LAZ 1.4, point format 6')
-    """
-    place, reading = place_of(path), Reading(drop_invalid=True, units=units, crs=crs)
-    file = _opened(place, reading)
-    header, reference = (file.header, file.reference) if isinstance(file, LasFile) else (None, Reference())
-    reference = reading.stated.of(reference, str(place))
-    if angular := reference.problem is not None:
-        reading = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown))
-    cloud = _warn_if_empty(place, file.cloud(reading, strict=False), None)
-    corners = None
-    if len(cloud):
-        corners = np.round(dataclasses.replace(cloud, xyz=np.stack(ends(cloud.xyz))).coordinates(), 3)
-    points = canonical_points(cloud)
-    extra = None if header is None else header.extra_dimensions()
-    spacing = None if angular or len(points) < 2 else points.spacing()
-    return {
-        "path": str(place),
-        "format": cloud.source.format,
-        "points": len(cloud),
-        "crs": None if reference.crs is None else reference.crs.name,
-        "units": str(cloud.units),
-        "metres_per_unit": None if angular else [cloud.units.xy, cloud.units.z],
-        "bounds": None if corners is None else corners[:, :2].ravel().tolist(),
-        "z": None if corners is None else corners[:, 2].tolist(),
-        "scales": None if header is None else header.scales.tolist(),
-        "offsets": None if header is None else header.offsets.tolist(),
-        "extra_bytes": None if extra is None else [dimension.name for dimension in extra],
-        "classes": _counts(cloud.classification),
-        "echoes": _echo_counts(cloud),
-        "withheld": None if cloud.withheld is None else int(cloud.withheld.sum()),
-        "overlap": None if cloud.in_overlap is None else int(cloud.in_overlap.sum()),
-        "candidates": int(cloud.candidate.sum()),
-        "spacing": spacing,
-        "density": None if spacing is None else 1 / spacing**2,
-    }
+    return warn_if_empty(place, cloud, cut)
 
 
 def is_text(path: Place) -> bool:
@@ -286,34 +235,13 @@ def _kept_las(path: Place, identity: Identity, tables: bool) -> LasFile:
     return open_las(path, tables)
 
 
-def _opened(place: Place, reading: Reading) -> LasFile | TextFile:
+def open_points(place: Place, reading: Reading) -> LasFile | TextFile:
+    """A file of any kind; of text, the points inside ``reading.bounds``. Raises: InputError."""
     return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
 
 
-def _warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:
+def warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:
     """The cloud, with a warning if it has no points."""
     if not len(cloud):
         warn(f"{name}: holds no points" + ("" if bounds is None else f" within bounds {bounds}"))
     return cloud
-
-
-def _counts(values: np.ndarray | None) -> dict[int, int] | None:
-    if values is None:
-        return None
-    counts = np.bincount(values, minlength=1)
-    return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
-
-
-def _echo_counts(cloud: PointCloud) -> dict[str, int] | None:
-    number, total = cloud.return_number, cloud.number_of_returns
-    if number is None or total is None:
-        return None
-    several = total > 1
-    kinds = {
-        "only": (total == 1) & (number == 1),
-        "first": several & (number == 1),
-        "intermediate": several & (number > 1) & (number < total),
-        "last": several & (number == total),
-    }
-    counts = {name: int(mask.sum()) for name, mask in kinds.items()}
-    return {**counts, "odd": len(cloud) - sum(counts.values())}
