@@ -280,6 +280,20 @@ def test_laszip_record_of_another_point_size(tmp_path):
         assert_refused(path, "describes other points than point format 1")
 
 
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_kinds_of_laz_that_cannot_be_read_are_named(tmp_path, point_format):
+    """They are sound files, only of another time."""
+    path = tmp_path / "in.laz"
+    make_las(path, point_format)
+    record = path.read_bytes().find(b"laszip encoded") + 52
+    patch(path, "H", record, 1)  # points one by one
+    assert_refused(path, r"LAZ without chunks \(of LASzip 1, before 2011\) cannot be read: compress the file anew")
+    if point_format == 6:
+        make_las(path, 6)
+        patch(path, "H", record + 34 + 4, 4)
+        assert_refused(path, r"items have version 4 .* cannot be read yet: compress the file anew with an older LASzip")
+
+
 # content
 
 

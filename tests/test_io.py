@@ -32,6 +32,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 VERSIONS = ("1.0", "1.1", "1.2", "1.3", "1.4")
 FIRST = (0, 0, 2, 2, 3, 3, 4, 4, 4, 4, 4)  # minor version in which each point format came
 EVERY = [(point_format, version) for point_format, first in enumerate(FIRST) for version in VERSIONS[first:]]
+EVERY += [(point_format, "1.5") for point_format in range(6, 11)]
 
 
 def result_of(cloud, seed=0):
@@ -91,8 +92,22 @@ def test_only_classes_of_candidates_change(tmp_path, point_format, version, suff
     assert not np.array_equal(out.classification, las.classification)
     kept = [[v.record_data_bytes() for v in one.vlrs if v.record_id != 22204] for one in (out, laspy.read(source))]
     assert kept[0] == kept[1]
-    if version == "1.4":
+    if version in ("1.4", "1.5"):
         assert out.evlrs[0].record_data == las.evlrs[0].record_data
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_13_with_the_header_of_las_12(tmp_path, suffix):
+    """The output has the header that LAS 1.3 asks for."""
+    las = make_las(tmp_path / "full.las", 1, "1.3", crs=None, extra=True)
+    content = bytearray((tmp_path / "full.las").read_bytes())
+    struct.pack_into("<HI", content, 94, 227, struct.unpack_from("<I", content, 96)[0] - 8)
+    (tmp_path / "in.las").write_bytes(content[:227] + content[235:])
+    cloud = read(tmp_path / "in.las", units="m")
+    np.testing.assert_array_equal(cloud.classification, las.classification)
+    write(tmp_path / f"out{suffix}", cloud, None)
+    out = laspy.read(tmp_path / f"out{suffix}")
+    assert (out.header.version.minor, out.points.array.tobytes()) == (3, las.points.array.tobytes())
 
 
 @pytest.mark.parametrize("point_format", [4, 5, 9, 10])
@@ -329,7 +344,7 @@ def test_a_cut_is_written_with_its_own_counts(tmp_path, version, point_format, s
         assert struct.unpack_from("<6I", (tmp_path / f"out{suffix}").read_bytes(), 107) == (keep.sum(), *by_return)
     np.testing.assert_allclose(out.header.mins, [las.x[keep].min(), las.y[keep].min(), las.z[keep].min()], atol=1e-9)
     np.testing.assert_allclose(out.header.maxs, [las.x[keep].max(), las.y[keep].max(), las.z[keep].max()], atol=1e-9)
-    if version == "1.4":
+    if version in ("1.4", "1.5"):
         assert out.evlrs[0].record_data == las.evlrs[0].record_data
 
 

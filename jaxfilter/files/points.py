@@ -199,7 +199,7 @@ class Writer:
         self._wkt = crs is not None and crs[0] == WKT
         self._records = list(_kept_records(header, extra, crs))
         number, form = header.point_format, format_of(header, 4 * len(extra))
-        minor = max(2, header.minor, 3 if number > 3 else 0, 4 if number > 5 else 0)
+        minor = max(2, header.version, 3 if number > 3 else 0, 4 if number > 5 else 0)
         made = laspy.LasHeader(version=f"1.{minor if number > 5 else min(minor, 4)}", point_format=form)
         made.scales, made.offsets = header.scales, header.offsets
         made.vlrs.clear()
