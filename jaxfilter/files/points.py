@@ -229,30 +229,26 @@ class Writer:
         """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
         with self._heard.errors():
             self._laspy.close()
-        made, file, old = self._laspy.header, self.file, self.header.head
-        for start, end in ((4, 24), (26, 94)):  # source, encoding, project; names, dates
-            file.seek(start)
-            file.write(old[start:end])
+        made, old = self._laspy.header, self.header.head
+        patches = {4: old[4:24], 26: old[26:94]}  # source, encoding, project; names, dates
+        patches[100] = struct.pack("<I", len(self._records) + bool(self._laszip))
         if self._wkt:
-            file.seek(6)
-            file.write(bytes([old[6] | 16]))
+            patches[6] = bytes([old[6] | 16])
         if made.version.minor == 2:  # the same header as those before it
-            file.seek(25)
-            file.write(old[25:26])
-        file.seek(100)
-        file.write(struct.pack("<I", len(self._records) + bool(self._laszip)))
+            patches[25] = old[25:26]
         if self._laszip:
-            file.seek(HEADER_LENGTHS[made.version.minor] + len(made.extra_header_bytes) + 54)
-            file.write(self._laszip)
+            patches[HEADER_LENGTHS[made.version.minor] + len(made.extra_header_bytes) + 54] = self._laszip
         if made.version.minor >= 4 and self.header.point_format < 6 and made.point_count < 2**32:
-            file.seek(107)
-            file.write(struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist()))
-        file.seek(0, 2)
+            patches[107] = struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist())
         if source is not None:
-            self._copy_tail(source)
+            patches |= self._copy_tail(source)
+        for at, value in patches.items():
+            self.file.seek(at)
+            self.file.write(value)
 
-    def _copy_tail(self, file: BinaryIO) -> None:
-        source, at = self.header, self.file.tell()
+    def _copy_tail(self, file: BinaryIO) -> dict[int, bytes]:
+        """Append what follows the points of a file. Returns: what the header says of it, by the byte where it stands."""
+        source, at = self.header, self.file.seek(0, 2)
         kept = without_octree(source, source.evlrs)
         if len(kept) < len(source.evlrs):
             starts = {235: at} if kept else {}
@@ -265,12 +261,8 @@ class Writer:
             old = {227: source.waveform_start, 235: source.evlr_start}
             there = {field: start for field, start in old.items() if source.tail <= start <= source.identity.size}
             starts = {field: start + at - source.tail for field, start in there.items() if start}
-        for field, start in starts.items():
-            self.file.seek(field)
-            self.file.write(struct.pack("<Q", start))
-        if kept:
-            self.file.seek(243)
-            self.file.write(struct.pack("<I", len(kept)))
+        found = {field: struct.pack("<Q", start) for field, start in starts.items()}
+        return found | ({243: struct.pack("<I", len(kept))} if kept else {})
 
 
 def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] | None) -> Iterator[bytes]:
