@@ -385,7 +385,6 @@ def test_low_outliers_get_the_class_of_noise(cloud, tmp_path):
         out = tmp_path / "-".join(("out", *extra))
         report = run(tmp_path / "in.laz", out, filter_=one, noise_class=7, extra=extra, tile=50.0)
         assert report.complete and report.tiles >= 4 and report.classes[0, 7] == whole.low_noise.sum()
-        assert (report.barred, report.barred_ground) == (whole.barred.sum(), (whole.barred & whole.ground).sum())
         classes = np.asarray(laspy.read(out / "in.laz").classification)
         if extra:
             np.testing.assert_array_equal(laspy.read(out / "in.laz")["height"], whole.height)
@@ -653,7 +652,7 @@ def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
 
 
 def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_into(tmp_path):
-    """No ground within 10 m of the edge, nor in a void of 120 m: only tiles at the void need more than the first halo."""
+    """No ground within 10 m of the edge, nor in a void of 120 m."""
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 401.0, 5.0), np.arange(0.0, 121.0, 5.0)))
     z = 0.1 * x + 3 * np.sin(x / 40) * np.cos(y / 30)
     void = (x > 160) & (x < 280) | (abs(x - 200) > 190) | (abs(y - 60) > 50)
@@ -665,7 +664,6 @@ def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_
     found = jf.Raster.read(tmp_path / "dtm.tif")
     np.testing.assert_array_equal(found.values[2:-2, 2:-2], expected.values[2:-2, 2:-2])
     assert report.uncertain == 0 and report.complete
-    assert report.halos[40.0] > report.tiles // 2 and len(report.halos) > 1
 
 
 @pytest.mark.slow

@@ -286,9 +286,7 @@ class Run:
                 self._need_no_more(file)
         if self.targets.in_place:  # what no tile labels stays as it is
             self._is_written |= self._missing == 0
-        files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
-        files *= product.writes_files
-        self._standing = Standing("tiles", len(plan), 0, files, times_read=times)
+        self._standing = Standing("tiles", len(plan), times_read=plan.times_read(self.collection.count))
         self.report = product.REPORT(tiles=len(plan), cores=plan.cores, state=np.full(len(plan), np.nan))
 
     def __call__(self) -> None:
@@ -327,24 +325,17 @@ class Run:
             yield number, size + self.product.added * source.count
 
     def _carry_out(self, executor: Executor) -> None:
+        """Do tiles, and before them files, to which those are added that are complete."""
         done = self._look()
         complete = (self._missing == 0) & ~self._is_written & self.product.writes_files
         tiles = (Task(do_tile, n, self._tile(n)) for n in np.flatnonzero(~done).tolist())
         files = collections.deque(self._writing(file) for file in np.flatnonzero(complete).tolist())
-        self._work(executor, tiles, files)
-
-    def _work(self, executor: Executor, tiles: Iterator[Task], files: collections.deque[Task]) -> None:
-        """Do ``tiles``, and before them ``files``, to which those are added that are complete."""
-        plan, standing = self.plan, self._standing
-        before = standing.tiles_done
+        standing = self._standing
         for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing)):
             if task.function is write_file:
                 self._take_file(task.number, outcome)
             else:
                 files.extend(self._writing(file) for file in self._take_tile(task.number, outcome))
-            new = standing.tiles_done - before
-            if new:
-                standing.left = (len(plan) - standing.tiles_done) * (time.perf_counter() - self._start) / new
             self._show(standing)
 
     def _look(self) -> np.ndarray:
@@ -380,7 +371,7 @@ class Run:
             if done[number]:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
-        self._standing.tiles_done, self._standing.files_done = int(done.sum()), int(self._is_written.sum())
+        self._standing.tiles_done = int(done.sum())
         return done
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
@@ -406,7 +397,6 @@ class Run:
             lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
         else:
             standing.points += outcome.value.points
-            standing.read += outcome.value.read
             self._add(number, outcome.value)
             lost = outcome.value.unread
         for file, reason in lost.items():
@@ -428,7 +418,6 @@ class Run:
         if outcome.reason is not None:
             self._fail(number, outcome.reason)
             return
-        self._standing.files_done += 1
         self.store.put_seal(number, outcome.value)  # before the labels go
         self.report.files.append(str(self.targets.places[number]))
         self.report.remarks.update(outcome.value["remarks"])
