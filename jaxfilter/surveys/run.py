@@ -97,10 +97,9 @@ class TiledSurvey(Survey):
         targets, store = self.targets, self.targets.store
         if targets.complete(self.options):
             return []
-        if not (targets.in_place and self.options.resume and (store.done or not store.begun)):
-            return None
-        asked = self._asked(kind(self.reading, None, store, None, self.options.halo, **settings))
-        return targets.finish(asked) if store.done else targets.ended(asked)
+        if targets.in_place and self.options.resume and store.done:
+            return targets.finish(self._asked(kind(self.reading, None, store, None, self.options.halo, **settings)))
+        return None
 
     def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
