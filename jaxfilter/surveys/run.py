@@ -275,8 +275,8 @@ class Run:
         self._progress = options.progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
-        self._unwritten = np.diff(plan.home.start).astype(np.int32)  # files per tile whose labels are still needed
-        self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
+        self._unwritten = np.array([len(files) for files in plan.home])  # files per tile whose labels are still needed
+        self._missing = np.array([len(tiles) for tiles in plan.tiles_of])  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
         if (aoi := product.reading.aoi) is not None:  # nothing of other files is wanted
