@@ -162,7 +162,8 @@ class Claim(Targets):
         files = []
         for number, place in enumerate(self.places):
             if (part := self.part(number)) is not None and part.exists():
-                seal = (self.store.seal(number) or {"seal": dataclasses.asdict(Seal.of(part))})["seal"]
+                known = self.store.seal(number)
+                seal = dataclasses.asdict(Seal.of(part) if known is None else known["seal"])
                 files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
         self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
         self.finish()

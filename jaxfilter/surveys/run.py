@@ -275,8 +275,10 @@ class Run:
         self._progress = options.progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
-        self._unwritten = np.array([len(files) for files in plan.home])  # files per tile whose labels are still needed
-        self._missing = np.array([len(tiles) for tiles in plan.tiles_of])  # tiles per file that are not done
+        self._unwritten = np.array(
+            [len(files) for files in plan.home], np.int64
+        )  # files per tile whose labels are still needed
+        self._missing = np.array([len(tiles) for tiles in plan.tiles_of], np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
         if (aoi := product.reading.aoi) is not None:  # nothing of other files is wanted
@@ -341,20 +343,25 @@ class Run:
         """bool[t]: tiles that are done, and whose labels are there if a file still needs them."""
         plan, store = self.plan, self.store
         known: dict[int, Summary] = {}
+        stripped: set[int] = set()
         if not self.options.resume:
             return np.zeros(len(plan), bool)
         for number in range(len(plan)):
-            summary = store.summary(number)
-            if summary is not None and not summary["unread"]:
-                known[number] = Summary.of_json(summary)
-            elif summary is not None:  # it lacks a file: it is done again, and the files that have its labels
+            facts = store.summary(number)
+            if facts is None:
+                continue
+            if facts.pop("stripped", False):
+                stripped.add(number)
+            if not facts["unread"]:
+                known[number] = Summary.of_json(facts)
+            else:  # it lacks a file: it is done again, and the files that have its labels
                 for file in plan.home[number].tolist():
                     store.drop_seal(file)
         for file, target in enumerate(self.targets.places):
             kept = store.seal(file)
             if kept is None:
                 continue
-            wrong = Seal(**kept["seal"]).broken(written(target, self.targets.part(file)))
+            wrong = kept["seal"].broken(written(target, self.targets.part(file)))
             if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
                 self.report.again += [] if wrong is None else [{"file": str(target), "reason": wrong}]
                 store.drop_seal(file)
@@ -366,7 +373,7 @@ class Run:
         done = np.zeros(len(plan), bool)
         for number, found in known.items():
             used = not self.product.writes_files or bool(self._unwritten[number] > 0)  # by a file, or at the end
-            done[number] = not used or store.summary(number, with_arrays=True) is not None
+            done[number] = not used or number not in stripped
             if done[number]:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)

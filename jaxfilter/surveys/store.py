@@ -26,7 +26,7 @@ import numpy as np
 from ..core.cloud import Whole
 from ..core.errors import DAMAGED, InputError, OutputError
 from ..core.reading import Reading
-from ..files.disk import check_own, output_errors, sync
+from ..files.disk import Seal, check_own, output_errors, sync
 from .product import KEPT
 from .tiles import Around, Memory, Tile, read_tile
 
@@ -152,13 +152,12 @@ class Store(Memory):
         np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
         self._write(self.tile(number), body.getbuffer())
 
-    def summary(self, number: int, with_arrays: bool = False) -> dict[str, Any] | None:
-        """The summary of a tile; None if it is not done, damaged, or without the arrays that are asked for."""
+    def summary(self, number: int) -> dict[str, Any] | None:
+        """The summary of a tile, and whether it was ``stripped``; None if it is not done, or damaged."""
         try:
-            summary: dict[str, Any] = json.loads(self.arrays(number)[_SUMMARY].tobytes())
+            return json.loads(self.arrays(number)[_SUMMARY].tobytes())
         except InputError:
             return None
-        return None if summary.pop("stripped", False) and with_arrays else summary
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
@@ -179,9 +178,10 @@ class Store(Memory):
     # files
 
     def seal(self, number: int) -> dict[str, Any] | None:
-        """What is known of a file that is finished; else None."""
+        """What is known of a file that is finished, with its seal; else None."""
         try:
-            return _read_json(self._file(number))
+            known = _read_json(self._file(number))
+            return known | {"seal": Seal(**known["seal"]), "remarks": list(known["remarks"])}
         except DAMAGED:
             return None
 
