@@ -22,7 +22,7 @@ import jaxfilter as jf
 from jaxfilter.files.disk import UNFINISHED
 
 pytestmark = [
-    pytest.mark.usefixtures("state", "plain_maps"),
+    pytest.mark.usefixtures("plain_maps"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 FILTER = jf.PMF(max_window=10.0, low_clusters=False)
@@ -83,12 +83,6 @@ class Stops:
 
 
 STOPS = Stops()
-
-
-@pytest.fixture
-def state(tmp_path, monkeypatch):
-    """What programs keep for this user lies beside the files, and counts."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "work" / "state"))
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +161,7 @@ def contents(folder):
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
-        if path.is_dir() or any(part.startswith(".") for part in path.parts) or name.startswith("state"):
+        if path.is_dir() or any(part.startswith(".") for part in path.parts):
             continue
         if path.name == "verdicts.json":
             found[name] = json.loads(path.read_text())["verdicts"]
