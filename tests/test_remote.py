@@ -345,7 +345,7 @@ def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
             assert result.exit_code == 0, result.output
         assert bucket.cat_file(f"surveys/one/{there}") == (tmp_path / here).read_bytes(), there
         wrong = run(*words, source, f"{out}/{there}")
-        assert wrong.exit_code == 2 and f"{out}/{there} exists" in wrong.stderr, wrong.output
+        assert wrong.exit_code == 2 and re.search(rf"{out}/{there}:?.* exists", wrong.stderr), wrong.output
     cloud = jf.read(f"{out}/a.laz")
     jf.write(f"{out}/w.laz", cloud, None)
     jf.write(tmp_path / "w.laz", cloud, None)
@@ -356,7 +356,7 @@ def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
     back = run(*fields, f"{out}/a.laz", tmp_path / "again.laz", "--quiet")
     assert back.exit_code == 0 and (tmp_path / "again.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     for words, code, said in (
-        (("ground", "pmf", f"{out}/a.laz", f"{out}/a.laz"), 2, "is both input and output"),
+        (("ground", "pmf", f"{out}/a.laz", f"{out}/a.laz"), 2, "is an input"),
         (("dtm", west_and_east, f"{out}/e.tif"), 2, "e.tif is not on a local disk.*--work"),
         (("ground", "pmf", f"{out}/absent.laz", tmp_path / "new.laz"), 1, "absent.laz: no such file"),
     ):

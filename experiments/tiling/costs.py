@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import collections
 import dataclasses
 import filecmp
-import itertools
 import json
 import math
 import os
@@ -26,16 +24,14 @@ import psutil
 import jaxfilter as jf
 from experiments.report import Column, Row, markdown
 from experiments.tiling.labels import generated
-from jaxfilter.surveys.dask import Cluster
-from jaxfilter.surveys.executors import Task, carried_out
 from jaxfilter.surveys.options import need
 from jaxfilter.surveys.plan import plan_tiles
 
 COMMAND = [sys.executable, "-c", "from jaxfilter.cli import main; main(prog_name='jaxfilter')", "ground"]
 AREA = 40_000
 """Square kilometres, one file each, of the country of ``docs/scaling.md``."""
-KILLS, KILL_EVERY, LOOK = 3, 3.0, 0.5
-"""How often a worker is killed, after how many seconds, and seconds between looks at the scheduler."""
+KILLS, KILL_EVERY = 3, 3.0
+"""How often a worker is killed, and after how many seconds."""
 
 COLUMNS: list[Column] = [
     ("how", "how", ""), ("points", "points", ",d"), ("tiles", "tiles", "d"), ("wall", "seconds", ".0f"),
@@ -127,38 +123,6 @@ def cluster(options: argparse.Namespace) -> tuple[list[Row], str]:
         ("files", "files", "d"), ("seconds", "seconds", ".1f"), ("local", "seconds of the local pool", ".1f"),
     ]  # fmt: skip
     return rows, f"# A Dask cluster of two workers\n\n{markdown(columns, rows)}"
-
-
-def tasks(options: argparse.Namespace) -> tuple[list[Row], str]:
-    """Tasks that do nothing, more and more of them, through a real scheduler, in bundles and one by one: time, and what the
-    scheduler holds."""
-    rows: list[Row] = []
-    for most, count in itertools.product((100, 1), options.tasks):
-        with _cluster() as workers:
-            executor = Cluster(workers.scheduler_address, most)
-            todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
-            held, looked, start = 0, -math.inf, time.perf_counter()
-            done = carried_out(executor, todo, collections.deque(), lambda: None)
-            for number, (task, outcome) in enumerate(done):
-                if outcome.value != task.number:
-                    raise AssertionError(f"task {task.number}: {outcome}")
-                if time.perf_counter() - looked > LOOK or number == count - 1:
-                    held, looked = max(held, executor._client.run_on_scheduler(_tasks_of)), time.perf_counter()
-            seconds, submissions = time.perf_counter() - start, executor.submissions
-            executor.close()
-        rows.append({
-            "tasks": count, "most": most, "submissions": submissions, "seconds": seconds, "each": 1000 * seconds / count,
-            "held": held,
-        })  # fmt: skip
-    columns: list[Column] = [
-        ("tasks", "tasks", ",d"), ("most", "at most in a bundle", "d"), ("submissions", "bundles", ",d"),
-        ("seconds", "seconds", ".1f"), ("each", "ms per task", ".2f"), ("held", "most bundles in the scheduler", "d"),
-    ]  # fmt: skip
-    return rows, f"# Empty tasks through the scheduler of a Dask cluster of two workers\n\n{markdown(columns, rows)}"
-
-
-def _tasks_of(dask_scheduler: Any) -> int:
-    return len(dask_scheduler.tasks)
 
 
 def _side_by_side(folder: Path, count: int, rows: int, scene: dict[str, float]) -> list[Path]:

@@ -99,7 +99,7 @@ def _measured(tasks: list[tuple]) -> list[Row]:
 
 PARTS = {
     "labels": _labels, "halos": _halos, "scale": costs.scale, "cluster": costs.cluster,
-    "tasks": costs.tasks, "country": costs.country, "tiles": costs.collection,
+    "country": costs.country, "tiles": costs.collection,
 }  # fmt: skip
 
 
@@ -115,7 +115,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--small", type=int, default=300, help="metres, for halos and cluster [%(default)s]")
     parser.add_argument("--files", type=int, nargs="+", default=[3, 7, 14, 27], help="for scale %(default)s")
-    parser.add_argument("--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="for tasks %(default)s")
     parser.add_argument(
         "--densities", type=float, nargs="+", default=[2.0, 10.0], help="per m2, for country %(default)s"
     )

@@ -12,8 +12,6 @@ import sys
 from .errors import ForkError, JaxfilterError
 
 _M_ARENA_MAX = -8  # of malloc.h
-WORKER, UNGUARDED = "jaxfilter-worker", 83
-"""Name of processes that work for a run, and exit code of those that come to start workers themselves."""
 _owner: int | None = None
 """The process that has started the threads."""
 
@@ -49,13 +47,10 @@ def collect_seldom() -> None:
 
 def check_main() -> None:
     """Raises JaxfilterError in a process that is being spawned, and so imports a script that comes here: it would start processes
-    for ever. One of ours ends, and the one that has started it tells why."""
+    for ever."""
     import multiprocessing
 
-    process = multiprocessing.current_process()
-    if getattr(process, "_inheriting", False):
-        if process.name == WORKER:
-            raise SystemExit(UNGUARDED)
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise JaxfilterError(unguarded())
 
 

@@ -5,22 +5,20 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
 import os
-import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, sync, warn_of_names
+from ..files.disk import Identity, Seal, check_own, existing, is_there, output_errors, sync, warn_of_names
 from ..files.storage import Place, Remote, place_of
 from .options import RunOptions
 from .report import MAP, REPORT
-from .store import NEW, Store
+from .store import DONE, NEW, Store
 from .targets import Targets
 
 _HIDDEN, _LONGEST = ".jaxfilter-run", 255
@@ -107,29 +105,24 @@ class Claim(Targets):
     # in place
 
     def part(self, number: int) -> Path | None:
-        """The file that is to take the place of an input, None unless ``in_place``. Nobody can guess its name."""
+        """The file that is to take the place of an input, None unless ``in_place``."""
         if not self.in_place:
             return None
         place = self.places[number]
-        folder = f"{NEW}{self.store.facts['parts']['token']}"
-        return self._beside(place) / folder / f"{number}{COPC if is_copc(place) else place.suffix}"
+        return self._part_folder(place) / f"{number}{COPC if is_copc(place) else place.suffix}"
 
-    def _beside(self, place: Place) -> Path:
-        """The folder of an input, or of what its link leads to; that of the run for one in a store."""
-        return self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
+    def _part_folder(self, place: Place) -> Path:
+        """The folder of such a file: beside the input, or what its link leads to; that of the run for one in a store."""
+        beside = self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
+        return beside / f"{NEW}{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:16]}"
+
+    def _part_folders(self) -> set[Path]:
+        return {self._part_folder(place) for place in self.places} if self.in_place else set()
 
     def make_parts(self) -> None:
-        """Make the folders in which those files lie, beside the inputs. Raises: OutputError."""
-        if self.in_place:
-            if "parts" not in self.store.facts:
-                folders = sorted({str(self._beside(place)) for place in self.places})
-                self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
-            for folder in self._folders():
-                check_own(folder, make=True)
-
-    def _folders(self) -> list[Path]:
-        parts = self.store.facts.get("parts", {"token": "", "folders": []})
-        return [Path(folder) / f"{NEW}{parts['token']}" for folder in parts["folders"]]
+        """Make the folders in which those files lie. Raises: OutputError."""
+        for folder in self._part_folders():
+            check_own(folder, make=True)
 
     def _drop_parts(self) -> None:
         """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
@@ -140,9 +133,7 @@ class Claim(Targets):
                 f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
                 "pass resume=True, which ends that, before anything else is done with them"
             )
-        with contextlib.suppress(InputError, OutputError):  # nothing is known of a run whose record is damaged
-            self.store.load()
-        for folder in self._folders():
+        for folder in self._part_folders():
             check_own(folder)
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -171,7 +162,8 @@ class Claim(Targets):
         files = []
         for number, place in enumerate(self.places):
             if (part := self.part(number)) is not None and part.exists():
-                seal = (self.store.seal(number) or {"seal": dataclasses.asdict(Seal.of(part))})["seal"]
+                known = self.store.seal(number)
+                seal = dataclasses.asdict(Seal.of(part) if known is None else known["seal"])
                 files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
         self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
         self.finish()
@@ -185,16 +177,19 @@ class Claim(Targets):
         if facts is not None:
             store.check_facts(done["facts"] | {"names": done["names"]}, facts | {"names": self._names()})
         for entry, place, part in _entries(done):
-            if not part.exists():
-                wrong = None if isinstance(place, Remote) else Seal(entry["size"], entry["checksum"], ()).broken(place)
-                if wrong is not None:
+            known = _identity(place)
+            if part.exists():
+                if isinstance(place, Path) and entry["before"] != known:
                     raise InputError(
-                        f"{place}: {wrong} since the run in place has written it: put it back, and pass resume=True"
+                        f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or "
+                        "the other, and pass resume=True"
                     )
-            elif isinstance(place, Path) and entry["before"] != _identity(place):
+                continue
+            sealed = Seal(entry["size"], entry["checksum"], ())
+            changed = isinstance(place, Path) and entry.get("after") != known
+            if changed and (wrong := sealed.broken(place)) is not None:
                 raise InputError(
-                    f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or the "
-                    "other, and pass resume=True"
+                    f"{place}: {wrong} since the run in place has written it: put it back, or pass overwrite=True to begin anew"
                 )
         for entry, place, part in _entries(done):
             with output_errors(place):
@@ -205,44 +200,16 @@ class Claim(Targets):
                     place.put(part)
                     part.unlink()
                 entry["after"] = _identity(place)
-        for folder in self._folders():
+        for folder in self._part_folders():
             with contextlib.suppress(OSError):  # not every system can
                 sync(folder.parent)
-        with contextlib.suppress(OutputError), new_file(self._record(), overwrite=True) as kept:
-            kept.write_text(json.dumps(done))
+        store.put_done(done)
         self._drop_parts()
-        store.end()
-        return list(done["failed"])
-
-    def ended(self, facts: dict[str, Any]) -> list[dict[str, str]] | None:
-        """What the last run in place on these files could not do, if it was that of this command and is complete; else None.
-
-        Without this, a complete run would be begun anew by ``resume``, on what it has written. Raises: InputError if some of the
-        files are as that run left them, and others are not.
-        """
-        try:
-            done = json.loads(self._record().read_text())
-            if json.loads(json.dumps(facts)) != done["facts"]:
-                return None
-            known = {entry["file"]: _changed_since(entry, place) for entry, place, _ in _entries(done)}
-            left = [name for name in self._names() if known.get(name, name not in done["names"])]
-        except DAMAGED:
-            return None
-        if len(left) == len(self.places):
-            return None
-        if left:
-            raise InputError(
-                f"{left[0]}: is new or was changed since the run in place was complete, and other files were not: name "
-                "only what is to be done, and leave out resume="
-            )
+        store.clear((DONE,))
         return list(done["failed"])
 
     def _names(self) -> list[str]:
         return [str(place) for place in self.places]
-
-    def _record(self) -> Path:
-        """Where it is kept what the last run in place has done. Raises: OutputError."""
-        return _of_user() / f"{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:32]}.json"
 
 
 def _entries(done: dict[str, Any]) -> list[tuple[dict[str, Any], Place, Path]]:
@@ -255,13 +222,6 @@ def _identity(place: Place) -> dict[str, Any] | None:
     return dataclasses.asdict(Identity.of(place)) if is_there(place) else None
 
 
-def _changed_since(entry: dict[str, Any], place: Place) -> bool:
-    """Whether an output is another than a run in place has left."""
-    if entry["after"] == _identity(place):
-        return False
-    return isinstance(place, Remote) or Seal(entry["size"], entry["checksum"], ()).broken(place) is not None
-
-
 def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:
     """Outputs with the folder of the run: in the folder of all of them, beside the only one, or in the folder above them; of one
     input (``alone``) into a URL, in the user's folder for what programs keep.
@@ -269,6 +229,8 @@ def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:
     Raises: ParameterError without a local folder for a run into a store; OutputError if another run was begun there, and it is
     not said what to do with it, or by another user.
     """
+    import platformdirs
+
     places, folder = targets.places, targets.folder
     given = {field.name: getattr(targets, field.name) for field in dataclasses.fields(Targets)}
     if folder is not None:
@@ -281,25 +243,17 @@ def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:
     elif len(places) > 1:
         near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        near, name = _of_user(), short
+        near, name = platformdirs.user_state_path("jaxfilter"), short
+        check_own(near, make=True)
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
-    if not options.resume and not options.overwrite and store.unfinished():
+    if not options.resume and not options.overwrite and store.begun:
         raise OutputError(
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
     return Claim(**given, store=store)
-
-
-def _of_user() -> Path:
-    """The user's folder for what programs keep. Raises: OutputError if it cannot be made, or is that of another user."""
-    import platformdirs
-
-    folder = platformdirs.user_state_path("jaxfilter")
-    check_own(folder, make=True)
-    return folder
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import dataclasses
 import errno
 import multiprocessing
@@ -11,12 +10,13 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 from ..core.errors import JaxfilterError, OutputError
-from ..core.process import UNGUARDED, WORKER, unguarded
-from ..core.process import check_main as check_main
+from ..core.process import unguarded
 from ..core.result import Progress, silent
 from .tiles import LOCAL, Local
 
@@ -27,11 +27,13 @@ _WAIT = 0.25  # seconds between ticks
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better."""
+    """What became of a task: its value, or why there is none. ``full``: because a disk was, so that no other will do better;
+    ``died``: because a worker did, which this task may have killed, or another that ran at the same time."""
 
     value: Any = None
     reason: str | None = None
     full: bool = False
+    died: bool = False
 
 
 class Executor(Protocol):
@@ -70,19 +72,26 @@ def carried_out(
     now: collections.deque[Task],
     tick: Callable[[], None],
 ) -> Iterator[tuple[Task, Outcome]]:
-    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
+    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times; the last time
+    alone, if a worker died meanwhile, so that a task is not set aside for what another does.
 
     ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
 
     Raises: OutputError when a disk is full.
     """
-    running, tries = 0, collections.Counter[Task]()
+    running, alone = 0, False
+    tries, suspects = collections.Counter[Task](), set[Task]()
     while True:
-        while executor.room() > 0:
+        while executor.room() > 0 and not (alone and running):
             task = now.popleft() if now else next(todo, None)
             if task is None:
                 break
-            executor.submit(task, task.function, *task.arguments(tries[task] >= RETRIES))
+            last = tries[task] >= RETRIES
+            alone = last and task in suspects
+            if alone and running:
+                now.appendleft(task)
+                break
+            executor.submit(task, task.function, *task.arguments(last))
             running += 1
         if not running:
             return
@@ -93,6 +102,8 @@ def carried_out(
             if outcome.reason is not None and tries[task] < RETRIES:
                 tries[task] += 1
                 now.appendleft(task)
+                if outcome.died:
+                    suspects.add(task)
                 continue
             yield task, outcome
         tick()
@@ -147,108 +158,77 @@ def _is_full(error: BaseException | None) -> bool:
     return False
 
 
+def outcome_of(future: Any, death: type[Exception]) -> Outcome:
+    """What became of a call of :func:`attempt`, by its future, which is done. ``death``: what it raises if a worker died."""
+    if isinstance(future.exception(), death):
+        return Outcome(reason="a worker died; where the memory was short, pass a smaller tile=", died=True)
+    found = attempt(future.result, ())
+    return found if found.reason is not None else found.value
+
+
 class Pool:
-    """Processes of this machine. They are spawned, since JAX must not be forked, and die with their parent."""
+    """Processes of this machine. They are spawned, since JAX must not be forked, and end with their parent."""
 
     def __init__(self, workers: int) -> None:
         """The first worker is started, to know that it can be. Raises: JaxfilterError."""
-        self._context = multiprocessing.get_context("spawn")
         self._size = workers
-        self._idle: list[_Worker] = []
-        self._busy: dict[Connection, tuple[_Worker, Any]] = {}
-        first = _Worker(self._context)
+        self._running: dict[Future[Outcome], Any] = {}
+        self._begin()
         try:
-            first.connection.send((os.getpid, ()))
-            first.connection.recv()
-        except (EOFError, OSError) as error:
-            code = first.stopped()
-            if code == UNGUARDED:
-                raise JaxfilterError(unguarded()) from error
-            raise JaxfilterError(
-                f"a worker process ended as it began ({_end(code)}); what it said stands above"
-            ) from error
-        except BaseException:
-            first.process.kill()
+            self._pool.submit(os.getpid).result()
+        except BaseException as error:
+            self.close()
+            if isinstance(error, BrokenProcessPool):
+                raise JaxfilterError(
+                    f"a worker process ended as it began; what it said stands above; {unguarded()}"
+                ) from error
             raise
-        self._idle.append(first)
+
+    def _begin(self) -> None:
+        """Make the pool. Its workers hold one end of a pipe, and end when the other is closed, or this process ends."""
+        context = multiprocessing.get_context("spawn")
+        self._alive, theirs = context.Pipe()
+        self._pool = ProcessPoolExecutor(self._size, context, _begin_worker, (theirs,))
 
     def room(self) -> int:
         """Workers without a task."""
-        return self._size - len(self._busy)
+        return self._size - len(self._running)
 
     def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Give a task to an idle worker, or to a new one."""
-        worker = self._idle.pop() if self._idle else _Worker(self._context)
-        self._busy[worker.connection] = worker, tag
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it died meanwhile: ``completed`` tells
-            worker.connection.send((function, arguments))
+        """Give a task to a worker. A pool that broke, since a worker died, is made anew."""
+        try:
+            future = self._pool.submit(attempt, function, arguments)
+        except BrokenProcessPool:
+            self.close()
+            self._begin()
+            future = self._pool.submit(attempt, function, arguments)
+        self._running[future] = tag
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Tasks that have ended, see :class:`Executor`."""
-        found = []
-        for ready in wait(list(self._busy), seconds):
-            assert isinstance(ready, Connection)
-            worker, tag = self._busy.pop(ready)
-            try:
-                outcome = ready.recv()
-                self._idle.append(worker)
-            except (EOFError, OSError):
-                how = _end(worker.stopped())
-                outcome = Outcome(reason=f"the worker died ({how}); where the memory was short, pass a smaller tile=")
-            found.append((tag, outcome))
-        return found
+        """Tasks that have ended, see :class:`Executor`. With a worker that died all end that were running."""
+        done, _ = wait(self._running, seconds, FIRST_COMPLETED)
+        return [(self._running.pop(future), outcome_of(future, BrokenProcessPool)) for future in done]
 
     def close(self) -> None:
         """End all processes."""
-        workers = [*self._idle, *(worker for worker, _ in self._busy.values())]
-        self._idle, self._busy = [], {}
-        for worker in workers:
-            worker.process.kill()
-        for worker in workers:
-            worker.stopped()
+        self._alive.close()
+        self._pool.shutdown(cancel_futures=True)
 
 
-def _end(code: int | None) -> str:
-    return f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-
-
-class _Worker:
-    """A process that does one task after the other."""
-
-    def __init__(self, context: Any) -> None:
-        self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), name=WORKER, daemon=True)
-        self.process.start()
-        theirs.close()
-
-    def stopped(self) -> int | None:
-        """Wait for its end; the exit code."""
-        self.process.join()
-        self.connection.close()
-        return self.process.exitcode
-
-
-def _serve(connection: Connection) -> None:
-    """The life of a worker."""
+def _begin_worker(alive: Connection) -> None:
+    """What a worker does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     os.environ.setdefault("RAYON_NUM_THREADS", "1")  # of the LAZ codec: one processor a worker
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
     from ..core.compilation import keep_compilations
     from ..core.process import collect_seldom, share_heaps
 
     collect_seldom()
     share_heaps()
     keep_compilations()
-    while True:
-        try:
-            function, arguments = connection.recv()
-        except EOFError:
-            return
-        connection.send(attempt(function, arguments))
 
 
-def _die_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    wait([parent.sentinel])
+def _end_with(alive: Connection) -> None:
+    """End this process when the other end of a pipe is closed."""
+    alive.poll(None)
     os._exit(1)

@@ -16,8 +16,7 @@ from ..files.disk import Bounds
 
 OVERLAP = 0.001
 """Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""
-_CELLS = 1 << 22  # of the raster in which holes are looked for
-_PER_TILE = 4  # cells of it along the side of a rectangle of middling size
+_LEAST_HOLE = 0.25  # sides of a rectangle of middling size
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,28 +109,18 @@ class Footprints:
 
         Places are seen from about a quarter of the side of a footprint of middling size on.
         """
-        import scipy
+        import shapely
 
         known = self.bounds[self.known]
         sides = known[:, 2:] - known[:, :2]
         sides = sides[(sides > 0).all(axis=1)]
         if not len(sides):
             return []
-        low, high = known[:, :2].min(axis=0), known[:, 2:].max(axis=0)
-        cell = max(float(np.median(sides)) / _PER_TILE, float(np.sqrt(np.prod(high - low) / _CELLS)))
-        shape = np.ceil((high - low) / cell).astype(int) + 1
-        edges = np.zeros(shape + 1, np.int64)  # +1 and -1 at the corners: their double sum is the cover
-        first = np.ceil((known[:, :2] - low) / cell - 0.5).astype(int)
-        last = np.maximum(first, np.floor((known[:, 2:] - low) / cell - 0.5).astype(int) + 1)
-        for x, y, sign in ((first, first, 1), (last, first, -1), (first, last, -1), (last, last, 1)):
-            np.add.at(edges, (x[:, 0], y[:, 1]), sign)
-        covered = edges.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
-        named, count = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(covered) & ~covered)
-        sizes = np.bincount(named.reshape(-1), minlength=count + 1)[1:]
-        boxes = scipy.ndimage.find_objects(named)
-        largest_first = (boxes[k] for k in np.argsort(-sizes, kind="stable"))
-        found = ([[side.start for side in box], [side.stop for side in box]] for box in largest_first)
-        return [tuple((low + cell * np.array(ends)).ravel().tolist()) for ends in found]
+        wider = np.array([-1, -1, 1, 1]) * float(np.median(sides)) * _LEAST_HOLE / 2  # closes what is narrower
+        covered = shapely.union_all(shapely.box(*(known + wider).T))
+        rings = [ring for part in shapely.get_parts(covered) for ring in part.interiors]
+        rings.sort(key=lambda ring: -shapely.area(shapely.polygons(ring)))
+        return [tuple((np.array(ring.bounds) + wider).tolist()) for ring in rings]
 
 
 def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:

@@ -104,16 +104,14 @@ class GroundProduct(Product):
 def summarise(summary: Summary, around: Around, result: FilterResult, found: Found, classes: Classes | None) -> None:
     """What is said of the labels of a tile; ``classes``: that are written, None = the output has none."""
     own = around.own
-    cloud, ground, barred = part_of(around.cloud, own), result.ground[own], result.barred[own]
+    cloud, ground = part_of(around.cloud, own), result.ground[own]
     summary.candidates, summary.ground = int(cloud.candidate.sum()), int(ground.sum())
-    summary.barred, summary.barred_ground = int(barred.sum()), int((barred & ground).sum())
     summary.low_noise = int(result.low_noise[own].sum())
     if classes is not None:
         summary.classes.update(class_changes(cloud, Found(ground, found.code[own]), classes))
     summary.overlap.update(overlap_counts(cloud, ground))
     summary.overlap["kept"] += int((ground & (found.code[own] == Finding.KEPT)).sum())
     summary.statuses[result.status.name] = 1
-    summary.counts = {name: value for name, value in result.info.items() if isinstance(value, (int, float, str))}
 
 
 def ground(

@@ -118,7 +118,6 @@ class RasterProduct(GroundNeeded):
             if not doubtful:
                 break
         summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful if len(own) else 0
-        summary.halos[found.halo] = 1
         return arrays, summary
 
     def facts(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Tiles of a collection: which squares are filtered, and which files each of them reads and labels.
 
-Everything is arrays over all tiles, so that a survey of a million files is planned in seconds.
+Bounds and numbers of points are arrays over all tiles, so that a survey of many files is planned in seconds.
 """
 
 from __future__ import annotations
@@ -27,41 +27,24 @@ _SCATTERED, _NEAR = 4.0, 2000.0
 """Unless they lie in a box of more than so many times the area of the files, and larger than a square of so many metres."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Lists:
-    """A list of file numbers for each of ``len(start) - 1`` tiles, or of tile numbers for each file.
+Lists = list[np.ndarray]
+"""Numbers of files for each tile, or of tiles for each file, i64, ascending."""
 
-    Attributes:
-        start: i64[k + 1]; member: i32[start[-1]], ascending within each list.
-    """
 
-    start: np.ndarray
-    member: np.ndarray
+def _lists(owner: np.ndarray, member: np.ndarray, count: int) -> Lists:
+    """Of ``count`` owners, from pairs i64[p] of owner and member."""
+    order = np.lexsort((member, owner))
+    return np.split(member[order], np.searchsorted(owner[order], np.arange(1, count))) if count else []
 
-    def __getitem__(self, number: int) -> np.ndarray:
-        return self.member[self.start[number] : self.start[number + 1]]
 
-    def __len__(self) -> int:
-        return len(self.start) - 1
+def _turned(lists: Lists, count: int) -> Lists:
+    """Owners by member, for ``count`` members."""
+    owner = np.repeat(np.arange(len(lists)), [len(one) for one in lists])
+    return _lists(_together(lists), owner, count)
 
-    @classmethod
-    def of(cls, owner: np.ndarray, member: np.ndarray, count: int) -> Lists:
-        """From pairs i64[p], i32[p] of owner and member."""
-        order = np.lexsort((member, owner))
-        start = np.zeros(count + 1, np.int64)
-        np.cumsum(np.bincount(owner, minlength=count), out=start[1:])
-        return cls(start, member[order].astype(np.int32))
 
-    def part(self, rows: np.ndarray) -> Lists:
-        """Some of the lists, i64[k]."""
-        parts = [self[row] for row in rows.tolist()]
-        start = np.concatenate([[0], np.cumsum([len(part) for part in parts], dtype=np.int64)])
-        return Lists(start.astype(np.int64), np.concatenate([self.member[:0], *parts]))
-
-    def turned(self, count: int) -> Lists:
-        """Owners by member, for ``count`` members."""
-        owner = np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.start))
-        return Lists.of(self.member.astype(np.int64), owner, count)
+def _together(lists: Lists) -> np.ndarray:
+    return np.concatenate([np.zeros(0, np.int64), *lists])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,8 +93,8 @@ class Plan:
     def part(self, rows: np.ndarray) -> Plan:
         """With some of the tiles only, i64[k], ascending."""
         parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("cores", "windows", "points")}
-        parts |= {name: getattr(self, name).part(rows) for name in ("near", "home")}
-        return dataclasses.replace(self, **parts, tiles_of=parts["home"].turned(len(self.tiles_of)))
+        parts |= {name: [getattr(self, name)[row] for row in rows.tolist()] for name in ("near", "home")}
+        return dataclasses.replace(self, **parts, tiles_of=_turned(parts["home"], len(self.tiles_of)))
 
     def times_read(self, count: int) -> float:
         """How many times each of ``count`` points is read, halos included; 1 without any."""
@@ -120,8 +103,8 @@ class Plan:
     def digest(self) -> str:
         """Tells this plan from others."""
         found = hashlib.sha256()
-        for array in (self.cores, self.windows, self.home.start, self.home.member, self.near.start, self.near.member):
-            found.update(np.ascontiguousarray(array).data)
+        for array in (self.cores, self.windows, *(part for lists in (self.home, self.near) for part in lists)):
+            found.update(np.ascontiguousarray(array).tobytes() + b";")
         return found.hexdigest()
 
 
@@ -134,20 +117,20 @@ def plan_boxes(bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> Pla
     tree = shapely.STRtree(shapely.box(*(bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]).T))
     cores, windows = boxes[:, 0], boxes[:, 1]
     pairs = [tree.query(shapely.box(*kind.T)) for kind in (cores, windows)]
-    home, near = (Lists.of(tile, used[file], len(boxes)) for tile, file in pairs)
+    home, near = (_lists(tile, used[file], len(boxes)) for tile, file in pairs)
     width, height = (windows[:, 2:] - windows[:, :2]).max(axis=0).tolist()
-    points, turned = _expected(bounds, counts, windows, near), home.turned(len(bounds))
+    points, turned = _expected(bounds, counts, windows, near), _turned(home, len(bounds))
     return Plan(width, height, 0.0, 0.0, cores, windows, points, near, home, turned, (True, True))
 
 
 def _expected(bounds: np.ndarray, counts: np.ndarray, windows: np.ndarray, near: Lists) -> np.ndarray:
     """f64[t]: points in windows, f64[t, 4], by the densities of the files that are near."""
-    tile = np.repeat(np.arange(len(near)), np.diff(near.start))
-    file, shares = bounds[near.member], np.ones(len(tile))
+    tile, member = np.repeat(np.arange(len(near)), [len(one) for one in near]), _together(near)
+    file, shares = bounds[member], np.ones(len(tile))
     for low, high in ((0, 2), (1, 3)):
         overlap = np.minimum(file[:, high], windows[tile, high]) - np.maximum(file[:, low], windows[tile, low])
         shares *= np.clip(overlap, 0, None) / np.maximum(file[:, high] - file[:, low], 1e-12)
-    return np.bincount(tile, shares * counts[near.member], minlength=len(near))
+    return np.bincount(tile, shares * counts[member], minlength=len(near))
 
 
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
@@ -233,24 +216,24 @@ def _tiles(
     box = bounds[used] - start + [-slack, -slack, slack, slack]
     key, file = _covered(box, used, size)
     tiles = np.unique(key)
-    home = Lists.of(np.searchsorted(tiles, key), file, len(tiles))
+    home = _lists(np.searchsorted(tiles, key), file, len(tiles))
     row = (tiles + _ROW // 2) // _ROW
     cell = np.stack([tiles - row * _ROW, row], axis=1)
     wide = reach + lattice
     key, file = _covered(box + [-wide, -wide, wide, wide], used, size)
     at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
     kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
-    near = Lists.of(at[kept], file[kept], len(tiles))
+    near = _lists(at[kept], file[kept], len(tiles))
     cores = start + np.concatenate([cell, cell + 1], axis=1) * np.tile(size, 2)
     points = _expected(bounds, counts, cores + [-halo, -halo, halo, halo], near)
-    (width, height), turned = size.tolist(), home.turned(len(bounds))
+    (width, height), turned = size.tolist(), _turned(home, len(bounds))
     many = tuple((np.ptp(cell, axis=0) > 0).tolist()) if len(cell) else (False, False)
     windows = _windows(cores, halo, lattice)
     return Plan(width, height, halo, lattice, cores, windows, points, near, home, turned, many)
 
 
 def _covered(box: np.ndarray, used: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[p], i32[p]: all pairs of a cell of f64[2] sides, row times :data:`_ROW` and column, and a file whose box, f64[k, 4], it
+    """i64[p], i64[p]: all pairs of a cell of f64[2] sides, row times :data:`_ROW` and column, and a file whose box, f64[k, 4], it
     meets; ``used``: its number.
 
     Raises: InputError for too many pairs.
@@ -266,4 +249,4 @@ def _covered(box: np.ndarray, used: np.ndarray, size: np.ndarray) -> tuple[np.nd
     owner = np.repeat(np.arange(len(used)), pairs)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
     row, column = np.divmod(step, wide[owner])
-    return (low[owner, 1] + row) * _ROW + low[owner, 0] + column, used[owner].astype(np.int32)
+    return (low[owner, 1] + row) * _ROW + low[owner, 0] + column, used[owner]

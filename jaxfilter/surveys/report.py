@@ -6,7 +6,6 @@ import collections
 import contextlib
 import dataclasses
 import json
-import math
 import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
@@ -30,25 +29,20 @@ class Summary:
 
     Attributes:
         points, candidates, ground: of the core; read: with the halo.
-        barred: points kept out of the seeds as outliers; barred_ground: those of them that are ground in the end; low_noise:
-            low outliers.
+        low_noise: low outliers.
         uncertain: points or cells whose height may be another in the whole.
         seconds: by step.
         classes: points by (old class, new class).
         overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
             ``ground``; ``kept``: of these ground points those that keep class 12.
-        statuses: tiles by the filter's status; remarks: what was warned of, with how often; halos: tiles by the metres
-            around them whose ground points took part.
+        statuses: tiles by the filter's status; remarks: what was warned of, with how often.
         heights: lowest and highest height above ground, units of Z, where these were asked for.
-        counts: what the filter counted; of the last tile.
         unread: numbers of files that could not be read, with the reason.
     """
 
     points: int = 0
     candidates: int = 0
     ground: int = 0
-    barred: int = 0
-    barred_ground: int = 0
     low_noise: int = 0
     read: int = 0
     uncertain: int = 0
@@ -57,9 +51,7 @@ class Summary:
     overlap: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     statuses: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     remarks: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
-    halos: collections.Counter[float] = dataclasses.field(default_factory=collections.Counter)
     heights: tuple[float, float] | None = None
-    counts: dict[str, Any] = dataclasses.field(default_factory=dict)
     unread: dict[int, str] = dataclasses.field(default_factory=dict)
 
     def add(self, other: Summary) -> None:
@@ -90,7 +82,7 @@ class Summary:
         return known
 
 
-_PAIRS = ("seconds", "classes", "overlap", "statuses", "remarks", "halos", "unread")
+_PAIRS = ("seconds", "classes", "overlap", "statuses", "remarks", "unread")
 
 
 def _plain(value: Any) -> Any:
@@ -223,21 +215,15 @@ class Standing:
         step: ``"survey"`` or ``"tiles"``; of a run in this process, the step of the filter.
         share: of the step that is done, 0 to 1.
         tiles, tiles_done: all, and those that are done or set aside.
-        points: of the cores done in this process; read: the same with halos; seconds: since it began.
-        files, files_done: all, and those written.
-        left: seconds, by the tiles done so far; NaN before the first.
+        points: of the cores done in this process; seconds: since it began.
         times_read: how many times each point is read, halos included, by the plan.
     """
 
     step: str
     tiles: int
-    tiles_done: int
-    files: int
-    files_done: int = 0
+    tiles_done: int = 0
     points: int = 0
-    read: int = 0
     seconds: float = 0.0
-    left: float = math.nan
     share: float = 0.0
     times_read: float = 1.0
 

@@ -97,10 +97,9 @@ class TiledSurvey(Survey):
         targets, store = self.targets, self.targets.store
         if targets.complete(self.options):
             return []
-        if not (targets.in_place and self.options.resume and (store.done or not store.begun)):
-            return None
-        asked = self._asked(kind(self.reading, None, store, None, self.options.halo, **settings))
-        return targets.finish(asked) if store.done else targets.ended(asked)
+        if targets.in_place and self.options.resume and store.done:
+            return targets.finish(self._asked(kind(self.reading, None, store, None, self.options.halo, **settings)))
+        return None
 
     def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
@@ -276,8 +275,10 @@ class Run:
         self._progress = options.progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
-        self._unwritten = np.diff(plan.home.start).astype(np.int32)  # files per tile whose labels are still needed
-        self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
+        self._unwritten = np.array(
+            [len(files) for files in plan.home], np.int64
+        )  # files per tile whose labels are still needed
+        self._missing = np.array([len(tiles) for tiles in plan.tiles_of], np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
         if (aoi := product.reading.aoi) is not None:  # nothing of other files is wanted
@@ -286,9 +287,7 @@ class Run:
                 self._need_no_more(file)
         if self.targets.in_place:  # what no tile labels stays as it is
             self._is_written |= self._missing == 0
-        files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
-        files *= product.writes_files
-        self._standing = Standing("tiles", len(plan), 0, files, times_read=times)
+        self._standing = Standing("tiles", len(plan), times_read=plan.times_read(self.collection.count))
         self.report = product.REPORT(tiles=len(plan), cores=plan.cores, state=np.full(len(plan), np.nan))
 
     def __call__(self) -> None:
@@ -327,44 +326,42 @@ class Run:
             yield number, size + self.product.added * source.count
 
     def _carry_out(self, executor: Executor) -> None:
+        """Do tiles, and before them files, to which those are added that are complete."""
         done = self._look()
         complete = (self._missing == 0) & ~self._is_written & self.product.writes_files
         tiles = (Task(do_tile, n, self._tile(n)) for n in np.flatnonzero(~done).tolist())
         files = collections.deque(self._writing(file) for file in np.flatnonzero(complete).tolist())
-        self._work(executor, tiles, files)
-
-    def _work(self, executor: Executor, tiles: Iterator[Task], files: collections.deque[Task]) -> None:
-        """Do ``tiles``, and before them ``files``, to which those are added that are complete."""
-        plan, standing = self.plan, self._standing
-        before = standing.tiles_done
+        standing = self._standing
         for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing)):
             if task.function is write_file:
                 self._take_file(task.number, outcome)
             else:
                 files.extend(self._writing(file) for file in self._take_tile(task.number, outcome))
-            new = standing.tiles_done - before
-            if new:
-                standing.left = (len(plan) - standing.tiles_done) * (time.perf_counter() - self._start) / new
             self._show(standing)
 
     def _look(self) -> np.ndarray:
         """bool[t]: tiles that are done, and whose labels are there if a file still needs them."""
         plan, store = self.plan, self.store
         known: dict[int, Summary] = {}
+        stripped: set[int] = set()
         if not self.options.resume:
             return np.zeros(len(plan), bool)
         for number in range(len(plan)):
-            summary = store.summary(number)
-            if summary is not None and not summary["unread"]:
-                known[number] = Summary.of_json(summary)
-            elif summary is not None:  # it lacks a file: it is done again, and the files that have its labels
+            facts = store.summary(number)
+            if facts is None:
+                continue
+            if facts.pop("stripped", False):
+                stripped.add(number)
+            if not facts["unread"]:
+                known[number] = Summary.of_json(facts)
+            else:  # it lacks a file: it is done again, and the files that have its labels
                 for file in plan.home[number].tolist():
                     store.drop_seal(file)
         for file, target in enumerate(self.targets.places):
             kept = store.seal(file)
             if kept is None:
                 continue
-            wrong = Seal(**kept["seal"]).broken(written(target, self.targets.part(file)))
+            wrong = kept["seal"].broken(written(target, self.targets.part(file)))
             if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
                 self.report.again += [] if wrong is None else [{"file": str(target), "reason": wrong}]
                 store.drop_seal(file)
@@ -376,11 +373,11 @@ class Run:
         done = np.zeros(len(plan), bool)
         for number, found in known.items():
             used = not self.product.writes_files or bool(self._unwritten[number] > 0)  # by a file, or at the end
-            done[number] = not used or store.summary(number, with_arrays=True) is not None
+            done[number] = not used or number not in stripped
             if done[number]:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
-        self._standing.tiles_done, self._standing.files_done = int(done.sum()), int(self._is_written.sum())
+        self._standing.tiles_done = int(done.sum())
         return done
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
@@ -406,7 +403,6 @@ class Run:
             lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
         else:
             standing.points += outcome.value.points
-            standing.read += outcome.value.read
             self._add(number, outcome.value)
             lost = outcome.value.unread
         for file, reason in lost.items():
@@ -428,7 +424,6 @@ class Run:
         if outcome.reason is not None:
             self._fail(number, outcome.reason)
             return
-        self._standing.files_done += 1
         self.store.put_seal(number, outcome.value)  # before the labels go
         self.report.files.append(str(self.targets.places[number]))
         self.report.remarks.update(outcome.value["remarks"])

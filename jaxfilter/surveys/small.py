@@ -60,7 +60,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
         product = _set_up(survey, product, tile)
         report = kind.REPORT(tiles=len(tiles), cores=np.array([files.bounds] * len(tiles)).reshape(-1, 4))
         report.state = np.full(len(tiles), math.nan)
-        standing = Standing("tiles", 1, 0, int(product.writes_files))
+        standing = Standing("tiles", 1)
         show = options.progress or (lambda standing: None)
         if tiles:
             local = LOCAL.set(Local(options.workers, lambda share, step: show(_at(standing, share, step))))
@@ -71,7 +71,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
             store.put(0, arrays, {})
             report.add(summary)
             report.state[0] = summary.ground / summary.points if summary.points else math.nan
-            standing.points, standing.read = summary.points, summary.read
+            standing.points = summary.points
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
         product.complete(report, files, targets, options)

@@ -4,7 +4,7 @@ A tile is done when its file lies here: what was found of its points, and a summ
 where it belongs, and its seal (length and checksum) here. ``run.json`` holds what decides on the outcome. Every file
 appears whole or not at all, and shows damage, so that a kill, a full disk or a damage repeats work and mixes nothing.
 
-In place, ``done.json`` says that all outputs are written, and which files take the places of inputs.
+In place, ``done.json`` says that all outputs are written, and which files take the places of inputs. It stays.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import os
 import shutil
 import uuid
 import zipfile
-import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ import numpy as np
 from ..core.cloud import Whole
 from ..core.errors import DAMAGED, InputError, OutputError
 from ..core.reading import Reading
-from ..files.disk import check_own, output_errors, sync
+from ..files.disk import Seal, check_own, output_errors, sync
 from .product import KEPT
 from .tiles import Around, Memory, Tile, read_tile
 
@@ -82,21 +81,14 @@ class Store(Memory):
         """Whether a run in place has written all its outputs."""
         return (self.path / DONE).exists()
 
-    def unfinished(self) -> bool:
-        """Whether there are finished tiles of a run of several."""
-        try:
-            return self.begun and self.load()["tiles"]["number"] > 1 and any((self.path / "tiles").rglob("*.tile"))
-        except (InputError, KeyError, TypeError):
-            return True
-
-    def clear(self) -> None:
-        """Remove all but the lock. Raises: OutputError."""
+    def clear(self, stays: Sequence[str] = ()) -> None:
+        """Remove all but the lock, and what ``stays``. Raises: OutputError."""
         check_own(self.path)
         with output_errors(self.path):
             for place in self.path.iterdir():
                 if place.is_dir() and not place.is_symlink():
                     shutil.rmtree(place)
-                elif place.name != _LOCK:
+                elif place.name not in (_LOCK, *stays):
                     place.unlink()
         self.facts = {}
 
@@ -112,7 +104,7 @@ class Store(Memory):
                 raise OutputError(f"{folder}: holds a link ({links[0]}), which is not followed: remove it")
         path = self.path / RUN
         try:
-            self.facts = _checked(path.read_text())
+            self.facts = _read_json(path)
         except FileNotFoundError:
             self.facts = {}
         except DAMAGED as error:
@@ -160,13 +152,12 @@ class Store(Memory):
         np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
         self._write(self.tile(number), body.getbuffer())
 
-    def summary(self, number: int, with_arrays: bool = False) -> dict[str, Any] | None:
-        """The summary of a tile; None if it is not done, damaged, or without the arrays that are asked for."""
+    def summary(self, number: int) -> dict[str, Any] | None:
+        """The summary of a tile, and whether it was ``stripped``; None if it is not done, or damaged."""
         try:
-            summary: dict[str, Any] = json.loads(self.arrays(number)[_SUMMARY].tobytes())
+            return json.loads(self.arrays(number)[_SUMMARY].tobytes())
         except InputError:
             return None
-        return None if summary.pop("stripped", False) and with_arrays else summary
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
@@ -187,9 +178,10 @@ class Store(Memory):
     # files
 
     def seal(self, number: int) -> dict[str, Any] | None:
-        """What is known of a file that is finished; else None."""
+        """What is known of a file that is finished, with its seal; else None."""
         try:
-            return _checked(self._file(number).read_text())
+            known = _read_json(self._file(number))
+            return known | {"seal": Seal(**known["seal"]), "remarks": list(known["remarks"])}
         except DAMAGED:
             return None
 
@@ -214,16 +206,10 @@ class Store(Memory):
         with contextlib.suppress(OSError):  # not every system can
             sync(self.path)
 
-    def end(self) -> None:
-        """Remove what a run in place has kept, ``done.json`` after ``run.json``: a stop between them is known as its end."""
-        with output_errors(self.path):
-            (self.path / RUN).unlink(missing_ok=True)
-        self.discard()
-
     def load_done(self) -> dict[str, Any]:
         """What :meth:`put_done` has kept. Raises: InputError."""
         try:
-            return _checked((self.path / DONE).read_text())
+            return _read_json(self.path / DONE)
         except DAMAGED as error:
             raise InputError(
                 f"{self.path / DONE}: is damaged ({error}): look whether folders {NEW}* lie beside the inputs, whose files were "
@@ -233,8 +219,7 @@ class Store(Memory):
     # bytes
 
     def _write_json(self, path: Path, value: dict[str, Any]) -> None:
-        text = json.dumps(value, indent=1)
-        self._write(path, json.dumps({"checksum": zlib.crc32(text.encode()), "holds": value}, indent=1).encode())
+        self._write(path, json.dumps(value, indent=1).encode())
 
     def _write(self, path: Path, content: bytes | memoryview) -> None:
         with output_errors(path):
@@ -249,14 +234,12 @@ class Store(Memory):
                 part.unlink(missing_ok=True)
 
 
-def _checked(text: str) -> dict[str, Any]:
-    """What a file with a checksum holds. Raises: ValueError."""
-    found = json.loads(text)
-    if not isinstance(found, dict) or not isinstance(found.get("holds"), dict):
+def _read_json(path: Path) -> dict[str, Any]:
+    """What a file holds. Raises: OSError, ValueError."""
+    found = json.loads(path.read_text())
+    if not isinstance(found, dict):
         raise ValueError("it holds something else")
-    if zlib.crc32(json.dumps(found["holds"], indent=1).encode()) != found.get("checksum"):
-        raise ValueError("its checksum is another")
-    return found["holds"]
+    return found
 
 
 def _cut(text: str) -> str:

@@ -33,7 +33,7 @@ GroundSource = Filter | Recipe | Iterable[int]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Points of a tile and around it; ``halo``: metres; ``result``: of the filter, if it was asked.
+    """Points of a tile and around it; ``result``: of the filter, if it was asked.
 
     ``ground``: bool[n], all that was found; ``near``: the box within which these are ground points of the whole, None =
     everywhere; ``doubt``: counts what a surface through them may have otherwise than the whole.
@@ -41,7 +41,6 @@ class Surroundings:
 
     around: Around
     tile: Tile
-    halo: float
     ground: np.ndarray
     near: Bounds | None
     result: FilterResult | None
@@ -99,7 +98,7 @@ class GroundNeeded(Product):
                 summary.seconds["filter"] += time.perf_counter() - start
             ground = ground_by_class(around.cloud, self.classes_of_ground, tile) if result is None else result.ground
             doubt = DoubtfulTriangles(around.cloud, self.data, near)
-            yield Surroundings(around, wide, halo, ground, near, result, doubt)
+            yield Surroundings(around, wide, ground, near, result, doubt)
             if tile.core is None:
                 return
 

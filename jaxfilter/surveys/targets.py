@@ -107,15 +107,12 @@ def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> No
         return
     if place.suffix.lower() not in POINTS:
         raise ParameterError(f"{place}: the suffix must be one of {', '.join(POINTS)}; to name a folder, end it with /")
-    if _real(place) == _real(only):
-        raise OutputError(f"{place} is both input and output: name another file, or pass in_place=True")
     if isinstance(place, Path) and not place.absolute().parent.is_dir():
         raise OutputError(f"{place.absolute().parent} is not a folder: make it first")
-    if is_there(place) and not (options.overwrite or options.resume):
-        raise OutputError(f"{place} exists: name another file, or pass overwrite=True")
+    targets_of(place, [str(only)]).check(options)
 
 
-def targets_of(out: str | Path | None, uris: Sequence[str]) -> Targets:
+def targets_of(out: str | Place | None, uris: Sequence[str]) -> Targets:
     """The outputs for some inputs: a file for one, a folder of files, or, for ``out`` None, the inputs themselves.
 
     Raises: ParameterError for a name that does not fit the number of files; OutputError if an output is an input, or two would

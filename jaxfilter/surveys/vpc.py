@@ -31,19 +31,10 @@ _EXTENSIONS = [
 ]
 _NOT_DATED = "1970-01-01"  # STAC wants a day
 _ODD = (*DAMAGED, StopIteration, pyproj.exceptions.CRSError)
-_FLAGS = ("Synthetic", "KeyPoint", "Withheld", "Overlap")
-_SCHEMA = (  # name, bytes, type, of the dimensions that PDAL makes of every point format
-    *((name, 8, "floating") for name in "XYZ"),
-    ("Intensity", 2, "unsigned"),
-    *((name, 1, "unsigned") for name in ("ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine")),
-    ("Classification", 1, "unsigned"),
-    *((name, 1, "unsigned") for name in _FLAGS),
-    ("ScanAngleRank", 4, "floating"),
-    ("UserData", 1, "unsigned"),
-    ("PointSourceId", 2, "unsigned"),
-)
-_TIME = (("GpsTime", 8, "floating"),)
-_COLOUR = tuple((name, 2, "unsigned") for name in ("Red", "Green", "Blue"))
+_PDAL = {"nir": "Infrared", "scan_angle": "ScanAngleRank"}
+"""Names of dimensions that PDAL has for those of laspy; the others are the same in capitals, without underscores."""
+_REAL = {"X": 8, "Y": 8, "Z": 8, "ScanAngleRank": 4, "GpsTime": 8}
+"""Bytes of dimensions that PDAL reads as real numbers."""
 
 
 def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
@@ -190,11 +181,12 @@ def _relative(uri: str, folder: str) -> str:
 
 
 def _schemas(point_format: int | None) -> list[dict[str, Any]]:
-    dimensions = [*_SCHEMA]
-    if point_format not in (None, 0, 2):
-        dimensions += _TIME
-    if point_format in (2, 3, 5, 7, 8, 10):
-        dimensions += _COLOUR
-    if point_format in (8, 10):
-        dimensions.append(("Infrared", 2, "unsigned"))
-    return [{"name": name, "size": size, "type": kind} for name, size, kind in dimensions]
+    """The dimensions of a point format as PDAL has them."""
+    import laspy
+
+    found = []
+    for one in laspy.PointFormat(point_format or 0).dimensions:
+        name = _PDAL.get(one.name, one.name.title().replace("_", ""))
+        size, kind = _REAL.get(name, max(1, one.num_bits // 8)), "floating" if name in _REAL else "unsigned"
+        found.append({"name": name, "size": size, "type": kind})
+    return found
