@@ -91,6 +91,11 @@ def format_of(header: Header, more: int = 0) -> laspy.PointFormat:
     return form
 
 
+def dimensions_of(point_format: int) -> dict[str, int]:
+    """Bits of the dimensions of a point format, by laspy's names."""
+    return {one.name: one.num_bits for one in laspy.PointFormat(point_format).dimensions}
+
+
 def measured(header: Header) -> tuple[Runs, np.ndarray]:
     """The runs of records of a file with the areas that their points cover, and lowest and highest x, y, z of all, f64[2, 3]:
     by a pass over the file. Raises: InputError."""

@@ -21,6 +21,7 @@ from ..core.errors import DAMAGED, InputError
 from ..core.units import WKT, Reference, Stated, Units, reference_of
 from ..files.disk import new_file, opened
 from ..files.guard import reading_errors
+from ..files.points import dimensions_of
 from ..files.sources import FARTHEST, NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
@@ -182,11 +183,9 @@ def _relative(uri: str, folder: str) -> str:
 
 def _schemas(point_format: int | None) -> list[dict[str, Any]]:
     """The dimensions of a point format as PDAL has them."""
-    import laspy
-
     found = []
-    for one in laspy.PointFormat(point_format or 0).dimensions:
-        name = _PDAL.get(one.name, one.name.title().replace("_", ""))
-        size, kind = _REAL.get(name, max(1, one.num_bits // 8)), "floating" if name in _REAL else "unsigned"
+    for known, bits in dimensions_of(point_format or 0).items():
+        name = _PDAL.get(known, known.title().replace("_", ""))
+        size, kind = _REAL.get(name, max(1, bits // 8)), "floating" if name in _REAL else "unsigned"
         found.append({"name": name, "size": size, "type": kind})
     return found
