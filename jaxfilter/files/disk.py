@@ -154,15 +154,12 @@ def new_file(
 
     The file is written in a hidden folder beside ``path``, and has reached the disk before it gets its name. A process that is
     killed leaves that folder; a later write removes it when it is a day old. What ``path`` replaces gives it its permissions.
-    A symbolic link stays, and the file that it names is written; that may be a new one. A remote file is written to a local
-    disk first and then sent.
+    A symbolic link stays, and the file that it names is written. A remote file is written to a local disk first.
 
-    ``into``: a local file that is written in place of ``path``, and whose content is to take that name later. Errors name
-    ``path``, the permissions are its own, and an older file ``into`` is replaced.
+    ``into``: a local file that is written in place of ``path``, and whose content is to take that name later.
 
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
-    not a regular file, or if a store or the operating system refuses (folder missing, disk full, no permission, name too long).
-    Warns: of a file with several names that is replaced in place.
+    not a regular file, or if a store or the operating system refuses. Warns: of hard links to what is replaced in place.
     """
     with output_errors(path):
         old = existing(path) if isinstance(path, Path) else None
