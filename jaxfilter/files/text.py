@@ -114,9 +114,9 @@ class TextFile:
             content = self.path.read_bytes()
             if zlib.crc32(content) != self.checksum:
                 raise InputError(f"{self.path}: {CHANGED_SINCE}")
-        lines = _lines(self.path, content)
+            lines = _lines(self.path, content)
+            table = lines.table(range(len(lines.names)), dtype=object, na_filter=False)
         names, known = list(lines.names), lines.columns
-        table = lines.table(range(len(names)), dtype=object, na_filter=False)
         table = table if self.rows.all() else table[self.rows].copy()
         if "label" in known or "classification" not in known:
             table[known.get("label", len(names))] = np.where(ground, GROUND, OBJECT)
