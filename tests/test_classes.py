@@ -10,9 +10,15 @@ from commands import done, facts
 import jaxfilter as jf
 from jaxfilter.core.filter import Filter, Labels
 from jaxfilter.core.params import filter_params
-from jaxfilter.files.classes import Finding, class_name, classes_of, table_of
+from jaxfilter.files.classes import Finding, class_name, findings_of, table_of
 
 USGS = jf.Classes.preset("usgs")
+
+
+def classes_of(cloud, result, classes=None):
+    classes = classes or jf.Classes()
+    old = 0 if cloud.classification is None else cloud.classification
+    return table_of(classes)[findings_of(cloud, result, classes).code, old]
 
 
 def made(classes, **columns):

@@ -207,16 +207,6 @@ def test_on_disk_before_it_is_named(tmp_path, monkeypatch, overwrite):
     assert done == [("fsync", "part"), ("replace", "out"), ("fsync", tmp_path.name)]
 
 
-def test_a_name_that_is_taken_meanwhile(tmp_path):
-    with (
-        pytest.raises(OutputError, match=r"out: another program made this file meanwhile"),
-        new_file(tmp_path / "out") as part,
-    ):
-        part.write_text("mine")
-        (tmp_path / "out").write_text("another's")
-    assert (tmp_path / "out").read_text() == "another's" and names(tmp_path) == ["out"]
-
-
 def test_other_names_of_a_file_that_is_replaced_in_place(tmp_path):
     source = make(tmp_path / "in.las")
     os.link(source, tmp_path / "other.las")
@@ -353,7 +343,7 @@ def test_a_file_that_may_grow_no_further(tmp_path, large, suffix):
     path.write_bytes(b"older")
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, old[1]))
     try:
-        with pytest.raises(OutputError, match=r"out\..*: cannot be written: the disk is full, or the file too large"):
+        with pytest.raises(OutputError, match=r"out\..*: cannot be written: File too large"):
             output(path, large)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
@@ -366,6 +356,6 @@ def test_what_only_the_last_sync_tells(tmp_path, monkeypatch, large, number):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    with pytest.raises(OutputError, match="the disk is full"):
+    with pytest.raises(OutputError, match=os.strerror(number)):
         output(tmp_path / "out.las", large)
     assert names(tmp_path) == []

@@ -29,7 +29,7 @@ X, Y = OFFSETS[:2]
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(storage, "FIRST_WAIT", 0.001)
+    monkeypatch.setattr(storage, "WAITS", (0.001,) * 4)
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_windows_are_those_of_the_local_file(tmp_path, server, name):
 
 @pytest.mark.parametrize("failures, words", [
     ([503], None), ([503, 502, 429], None), ([0], None), ([0, 503, 0], None),
-    ([503] * 100, "failed 5 times, the last time with"), ([403] * 100, "cannot be reached: .*403"),
+    ([503] * 100, "cannot be reached: .*503"), ([403] * 100, "cannot be reached: .*403"),
 ], ids=str)  # fmt: skip
 def test_what_passes_is_tried_again_and_else_the_uri_is_named(tmp_path, server, failures, words):
     make_copc(tmp_path / "in.copc.laz")
@@ -196,7 +196,7 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     bucket.faults.failures, bucket.faults.suffix = [503] * 500, "east.laz"
     report = into(west_and_east, out, work=work)
     assert [one["file"] for one in report.failed] == [str(west_and_east / "east.laz")]
-    assert "s3://surveys/run/2024/east.laz: failed 5 times" in report.failed[0]["reason"]
+    assert "s3://surveys/run/2024/east.laz: cannot be reached" in report.failed[0]["reason"]
     assert names() == ["jaxfilter-run.json", "jaxfilter-run.png", "west.laz"]
     with pytest.raises(jf.OutputError, match="is not empty"):
         into(west_and_east, out, work=work)
@@ -259,7 +259,7 @@ def test_a_run_of_one_file_into_a_store_is_kept_in_a_folder_of_the_user(tmp_path
     assert list(made.iterdir()) == [] and (planted / "run.json").read_text() == "not ours"
 
 
-@pytest.mark.parametrize("plant", ["link", "another", "open"])
+@pytest.mark.parametrize("plant", ["link", "another"])
 def test_a_folder_of_the_user_that_somebody_else_has_made_is_refused(tmp_path, west_and_east, state, plant):
     """In a place that all may write to."""
     if not hasattr(os, "getuid") or (plant == "another" and os.getuid()):
@@ -272,7 +272,7 @@ def test_a_folder_of_the_user_that_somebody_else_has_made_is_refused(tmp_path, w
         made.symlink_to(other)
     else:
         other.rename(made)
-        os.chown(made, 12345, 12345) if plant == "another" else made.chmod(0o777)
+        os.chown(made, 12345, 12345)
     with pytest.raises(jf.OutputError, match="remove it if nobody needs it") as caught:
         run = jf.RunOptions(tile=15.0, wide_halos=True)
         jf.ground(west_and_east / "west.laz", "memory://runs/refused.laz", PMF, run=run)
@@ -301,7 +301,7 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
         model("s3://no-such-bucket/all.tif", refused, work=work)
     assert refused.calls == [] and list(work.iterdir()) == []
     bucket.faults.failures, bucket.faults.suffix = [503] * 500, "all.tif"
-    with pytest.raises(jf.OutputError, match=r"s3://surveys/dtm/all\.tif: failed 5 times"):
+    with pytest.raises(jf.OutputError, match=r"s3://surveys/dtm/all\.tif: cannot be reached"):
         model(target, Here(), work=work)
     assert stored() == []
     again, bucket.faults.failures = Here(), [503, 0, 500]

@@ -175,7 +175,7 @@ def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwar
 def test_a_file_with_several_layers_of_shapes_is_refused(xyz, wrong, tmp_path):
     for layer in ("drafts", "final"):
         table(house="object").to_file(tmp_path / "list.gpkg", layer=layer, mode="a")
-    with pytest.raises(jf.InputError, match=r"list\.gpkg: has the layers drafts, final: save the one"):
+    with pytest.raises(jf.InputError, match=r"list\.gpkg: .*one layer of shapes is needed, .* it has drafts, final"):
         jf.apply(labelled(xyz, wrong), tmp_path / "list.gpkg")
 
 
@@ -374,7 +374,7 @@ def test_the_command_says_what_it_leaves_out(survey, tmp_path):
         ("places.geojson", "'grond' is no verdict", "1 verdict carried out (1 object)", "1 verdict left out"),
         ("number.geojson", "5 is no verdict"),
         ("none.geojson", "no column verdict; it has word, geometry"),
-        ("plain.csv", "plain.csv: holds no geometry"),
+        ("plain.csv", "one layer of shapes is needed"),
     ):
         said = run("apply", tmp_path / name, survey)
         assert said.exit_code == 1 and all(one in said.output for one in words), said.output

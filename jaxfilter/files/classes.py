@@ -12,7 +12,6 @@ from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.result import FilterResult
 
-RESETS = ("ground", "all", "none")
 NAMES = (
     "never classified", "unclassified", "ground", "low vegetation", "medium vegetation", "high vegetation", "building",
     "low noise", "model key point", "water", "rail", "road surface", "overlap", "wire guard", "wire conductor",
@@ -20,8 +19,6 @@ NAMES = (
     "temporal exclusion",
 )  # fmt: skip
 """Names of ASPRS classes (LAS 1.4 R15, table 17), short; from 23 on they are reserved or of the user."""
-_OPEN = (0, 1)
-"""Classes that say nothing of a point."""
 
 
 class Finding(enum.IntEnum):
@@ -43,10 +40,9 @@ class Classes:
     over every class. Points that are set aside keep theirs, so what somebody has edited stays.
 
     Attributes:
-        ground_class: class of candidates that are ground.
-        other_class: class of candidates that are not ground and whose old class is reset.
+        ground_class: class of ground. other_class: class of candidates that are not ground and whose old class is reset.
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
-        only_ground: change nothing but ground candidates, and what fields below ask for: the same as ``reset="none"``.
+        only_ground: the same as ``reset="none"``: change only ground candidates, and what fields below ask for.
         noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
         water: class of points of water (``FilterResult.water``), 9 by the ASPRS; None: they are ground.
         bridge: class of points of decks (``FilterResult.deck``), 17 by the ASPRS; None: they are points like others.
@@ -79,8 +75,8 @@ class Classes:
     2.1, table 5, as far as it is found (1, 2, 7, 9, 17, and the overlap flag instead of class 12)."""
 
     def __post_init__(self) -> None:
-        if self.reset not in RESETS:
-            raise ParameterError(f"reset={self.reset!r}: choose one of {', '.join(RESETS)}")
+        if self.reset not in ("ground", "all", "none"):
+            raise ParameterError(f"reset={self.reset!r}: choose one of ground, all, none")
         for name in ("ground_class", "other_class", *_OPTIONAL):
             value = getattr(self, name)
             if value is not None and not 0 <= value <= 255:
@@ -109,18 +105,18 @@ _OPTIONAL = ("noise_class", "water", "bridge", "unjudged")
 
 def asked(classes: Classes) -> list[str]:
     """The settings that give points other classes than ground and ``other_class``, as text, for messages."""
-    values = [(name, getattr(classes, name)) for name in _OPTIONAL]
-    return [f"{name}={value!r}" for name, value in values if value is not None]
+    return [f"{name}={value!r}" for name in _OPTIONAL if (value := getattr(classes, name)) is not None]
 
 
 def table_of(classes: Classes) -> np.ndarray:
     """u8[6, 256]: the new class, by :class:`Finding` and by the old class."""
     old = np.arange(256, dtype=np.uint8)
-    resets = np.full(256, classes.reset == "all" and not classes.only_ground)
-    if classes.reset == "ground" and not classes.only_ground:
+    reset = "none" if classes.only_ground else classes.reset
+    resets = np.full(256, reset == "all")
+    if reset == "ground":
         resets[[0, GROUND_CLASS, classes.ground_class]] = True
     resets[OVERLAP_CLASS] |= classes.overlap_flag
-    open_ = resets | np.isin(old, _OPEN)
+    open_ = resets | (old < 2)
     table = np.tile(np.where(resets, np.uint8(classes.other_class), old), (len(Finding), 1))
     table[Finding.KEPT] = old
     table[Finding.KEPT, 0] = classes.unjudged or 0
@@ -153,7 +149,6 @@ def findings_of(cloud: PointCloud, result: FilterResult | np.ndarray, classes: C
     if ground.shape != (len(cloud),) or ground.dtype != bool:
         given = f"{ground.dtype}{list(ground.shape)}"
         raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
-    old = old_classes(cloud)
     judged, code = cloud.candidate, cloud.candidate.astype(np.uint8)
     code[judged & ground] = Finding.GROUND
     for kind, name, source, what in _FOUND:
@@ -165,27 +160,15 @@ def findings_of(cloud: PointCloud, result: FilterResult | np.ndarray, classes: C
             warn(f"no point gets class {number}: the method does not look for {what}; leave that class out")
         else:
             code[judged & points & (ground | (kind != Finding.WATER))] = kind
-    if classes.overlap_flag and cloud.overlap is None:
-        if (judged & (old == OVERLAP_CLASS)).any():
+    if classes.overlap_flag and cloud.overlap is None and cloud.classification is not None:
+        overlap = cloud.classification == OVERLAP_CLASS
+        if (judged & overlap).any():
             warn(
                 "points of class 12 keep their class, even if they are ground, since this point format has no overlap flag: "
                 "convert the input to point format 6 or above"
             )
-        code[old == OVERLAP_CLASS] = Finding.KEPT
+        code[overlap] = Finding.KEPT
     return Found(ground, code)
-
-
-def old_classes(cloud: PointCloud) -> np.ndarray:
-    """u8[n]: the classes that points had; of a cloud without classes 0, never classified."""
-    return np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-
-
-def classes_of(
-    cloud: PointCloud, result: FilterResult | np.ndarray | Found, classes: Classes = Classes()
-) -> np.ndarray:
-    """u8[n]: the classes that the points of a cloud get when they are written."""
-    found = result if isinstance(result, Found) else findings_of(cloud, result, classes)
-    return np.asarray(table_of(classes)[found.code, old_classes(cloud)])
 
 
 def class_changes(
@@ -199,7 +182,9 @@ def class_changes(
     >>> bool(changes[0, 2] == result.ground.sum()), sum(changes.values()) == len(cloud)
     (True, True)
     """
-    pairs = np.bincount(old_classes(cloud).astype(np.int64) * 256 + classes_of(cloud, result, classes), minlength=1)
+    found = result if isinstance(result, Found) else findings_of(cloud, result, classes)
+    old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
+    pairs = np.bincount(old.astype(np.int64) * 256 + table_of(classes)[found.code, old], minlength=1)
     return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
 
 

@@ -20,7 +20,7 @@ from typing import BinaryIO
 from ..core.errors import InputError, OutputError, warn
 from ..core.reading import Bounds as Bounds
 from ..core.reading import check_bounds as check_bounds
-from .storage import Place, Remote, new_object
+from .storage import Place, Remote
 
 UNFINISHED = ".jaxfilter-part-"
 """Begins the names of hidden folders in which files lie while they are written."""
@@ -31,19 +31,13 @@ CHANGED_SINCE = "the file has changed since the cloud was read; read it again"
 
 @dataclasses.dataclass(frozen=True)
 class Identity:
-    """What tells a file from another that takes its name, and from itself after a change.
-
-    Attributes:
-        device, inode: which file it is; 0 for files that are not on a disk.
-        size, modified: bytes and time (ns) of the last change.
-        tag: of remote files, instead of the time: their ETag, or what else tells versions apart.
-    """
+    """What tells a file from another that takes its name, and from itself after a change."""
 
     device: int
-    inode: int
-    size: int
-    modified: int
-    tag: str = ""
+    inode: int  # this and the device are 0 for files that are not on a disk
+    size: int  # bytes
+    modified: int  # time of the last change, ns
+    tag: str = ""  # of remote files, instead of the time: their ETag, or what else tells versions apart
 
     @classmethod
     def of(cls, place: int | Place) -> Identity:
@@ -76,44 +70,36 @@ class Identity:
 
 @dataclasses.dataclass(frozen=True)
 class Seal:
-    """By which a file that a run has written is known again.
+    """By which a file that a run has written is known again."""
 
-    Attributes:
-        size: bytes; checksum: a hash of them, None for remote files.
-        status: numbers that change with every change of the file; where they have changed, the checksum decides.
-    """
-
-    size: int
-    checksum: str | None
-    status: Sequence[int | str]
+    size: int  # bytes
+    checksum: str  # a hash of them, or the tag of a remote file
+    status: Sequence[int]  # of a local file: changes with every change of it; only then the checksum is computed again
 
     @classmethod
     def of(cls, place: Place) -> Seal:
         """Of a file that was just written. Raises OSError, InputError."""
-        size, status = _state(place)
-        return cls(size, None if isinstance(place, Remote) else _checksum(place), status)
+        if isinstance(place, Remote):
+            return cls(*place.status(), ())
+        size, status = _status(place)
+        with open(place, "rb") as file:
+            return cls(size, hashlib.file_digest(file, "blake2b").hexdigest()[:32], status)
 
     def broken(self, place: Place) -> str | None:
         """In words, what is wrong with the file that has this name now; None if it is the one that was sealed."""
         try:
-            size, status = _state(place)
-            if size != self.size:
+            if isinstance(place, Path) and _status(place) == (self.size, list(self.status)):
+                return None
+            if (size := Identity.of(place).size) != self.size:
                 return f"has {size:,} bytes instead of {self.size:,}"
-            same = status == list(self.status) or (isinstance(place, Path) and self.checksum == _checksum(place))
-            return None if same else "was changed"
+            return None if Seal.of(place).checksum == self.checksum else "was changed"
         except (OSError, InputError):
             return "is missing"
 
 
-def _state(place: Place) -> tuple[int, list[int | str]]:
-    known = Identity.of(place)
-    changed = 0 if isinstance(place, Remote) else os.stat(place).st_ctime_ns
-    return known.size, [known.inode, known.modified, changed, known.tag]
-
-
-def _checksum(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+def _status(path: Path) -> tuple[int, list[int]]:
+    facts = os.stat(path)
+    return facts.st_size, [facts.st_ino, facts.st_mtime_ns, facts.st_ctime_ns]
 
 
 def check_suffix(place: Place, suffixes: Sequence[str]) -> Place:
@@ -126,33 +112,21 @@ def check_suffix(place: Place, suffixes: Sequence[str]) -> Place:
 def existing(path: Path) -> os.stat_result | None:
     """Status of the regular file that an output of this name would replace, also through a symbolic link; None if there is
     none. Raises: OutputError if the name stands for something else (folder, pipe, device, socket) or cannot be used."""
-    try:
-        status = os.stat(path)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    with output_errors(path):
+        try:
+            status = os.stat(path)
+        except FileNotFoundError:
+            return None
     if not stat.S_ISREG(status.st_mode):
-        kind = "folder" if stat.S_ISDIR(status.st_mode) else "pipe, device or socket"
-        raise OutputError(f"{path}: is a {kind}, and only regular files are replaced; name another file")
+        raise OutputError(
+            f"{path}: is a folder, pipe, device or socket, and only regular files are replaced; name another"
+        )
     return status
 
 
 def is_there(place: Place) -> bool:
     """Whether an output of this name would replace a file. Raises: OutputError as :func:`existing`, or if a store refuses."""
-    if not isinstance(place, Remote):
-        return existing(place) is not None
-    try:
-        return place.exists()
-    except InputError as error:
-        raise OutputError(str(error)) from error
-
-
-_REASONS = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
-    errno.EFBIG: "the disk is full, or the file too large for it",
-    errno.ELOOP: "a link in it is not followed: remove it",
-}
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permissions of others than the owner to write
+    return place.exists(OutputError) if isinstance(place, Remote) else existing(place) is not None
 
 
 @contextlib.contextmanager
@@ -180,46 +154,49 @@ def new_file(
 
     The file is written in a hidden folder beside ``path``, and has reached the disk before it gets its name. A process that is
     killed leaves that folder; a later write removes it when it is a day old. What ``path`` replaces gives it its permissions.
-    A symbolic link stays, and the file that it names is written; that may be a new one. A remote file is written to a local
-    disk first and then sent.
+    A symbolic link stays, and the file that it names is written. A remote file is written to a local disk first.
 
-    ``into``: a local file that is written in place of ``path``, and whose content is to take that name later. Errors name
-    ``path``, the permissions are its own, and an older file ``into`` is replaced.
+    ``into``: a local file that is written in place of ``path``, and whose content is to take that name later.
 
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
-    not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
-    Warns: of a file with several names that is replaced in place.
+    not a regular file, or if a store or the operating system refuses. Warns: of hard links to what is replaced in place.
     """
-    one = OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-    if isinstance(path, Remote) and into is None:
-        if path == source and not in_place:
-            raise one
-        with new_object(path, overwrite or path == source) as part:
-            yield part
-        return
-    final = into if into is not None else Path(os.path.realpath(path))  # type: ignore[arg-type]
     with output_errors(path):
-        status = None if isinstance(path, Remote) or into else existing(path)
-        mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
-        if mine and not in_place:
-            raise one
-        if status is not None and not mine and not overwrite:
+        old = existing(path) if isinstance(path, Path) else None
+        final = into or (Path(os.path.realpath(path)) if isinstance(path, Path) else None)
+        mine = path == source or (
+            old is not None and isinstance(source, Path) and os.path.samestat(old, os.stat(source))
+        )
+        if into is None and mine and not in_place:
+            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+        if into is None and not mine and not overwrite and is_there(path):
             raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
-        remove_dead(final.parent)
-        with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=final.parent, ignore_cleanup_errors=True) as folder:
+        beside = final and final.parent
+        if beside is not None:
+            remove_dead(beside)
+        with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=beside, ignore_cleanup_errors=True) as folder:
             part = Path(folder) / "part"
             yield part
+            if final is None or beside is None:
+                path.put(part)  # type: ignore[union-attr]
+                return
             sync(part)
-            if isinstance(path, Path) and existing(path) is not None:
-                if not (mine or overwrite or into):
-                    hint = "pass overwrite=True to replace it, or name another"
-                    raise OutputError(f"{path}: another program made this file meanwhile; {hint}")
-                if mine:
+            if isinstance(path, Path) and old is not None:
+                if into is None and mine:
                     warn_of_names(path)
                 shutil.copymode(path, part)
             os.replace(part, final)
             with contextlib.suppress(OSError):  # not every system can
-                sync(final.parent)
+                sync(beside)
+
+
+def check_writable(place: Remote) -> None:
+    """Put an empty file beside ``place`` and remove it, before much is done for it. Raises: OutputError if the store refuses."""
+    probe = Remote(f"{place}.jaxfilter-run")
+    with new_file(probe, overwrite=True) as part:
+        part.touch()
+    with contextlib.suppress(OutputError):  # it may be allowed to write, but not to remove
+        probe.remove()
 
 
 def warn_of_names(path: Path) -> None:
@@ -243,13 +220,10 @@ def output_errors(path: Place) -> Iterator[None]:
     """A block that writes ``path``. Raises: OutputError that names it, when the operating system refuses."""
     try:
         yield
+    except OutputError:
+        raise
     except OSError as error:
-        if isinstance(error, OutputError):
-            raise
-        reason = error.strerror or str(error)
-        if known := _REASONS.get(error.errno or 0):
-            reason = f"{known} ({reason})"
-        raise OutputError(f"{path}: cannot be written: {reason}") from error
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def sync(path: Path) -> None:
@@ -266,20 +240,17 @@ def sync(path: Path) -> None:
 
 def check_own(folder: Path, make: bool = False) -> None:
     """A hidden folder is this user's own, or there is none; with ``make`` it is made, for the user alone. Raises: OutputError if
-    something else has this name, a link, a file, or what another user owns or may write to; or if it cannot be made."""
+    a link, a file or the folder of another user has this name; or if it cannot be made."""
     with output_errors(folder):
         if make:
             folder.mkdir(0o700, parents=True, exist_ok=True)
         elif not os.path.lexists(folder):
             return
-        facts, known = os.lstat(folder), None
-        if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & _OTHERS):
+        facts = os.lstat(folder)
+        mine = stat.S_ISDIR(facts.st_mode)
+        if mine and hasattr(os, "getuid") and facts.st_uid != os.getuid():
             with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder.parent) as made:
-                known = os.lstat(made)  # some disks know one owner, or no permissions
-    what = None
-    if not stat.S_ISDIR(facts.st_mode):
-        what = "is a link, which is not followed" if stat.S_ISLNK(facts.st_mode) else "is no folder"
-    elif known is not None and (known.st_uid, known.st_mode & _OTHERS) != (facts.st_uid, facts.st_mode & _OTHERS):
-        what = f"belongs to another user (number {facts.st_uid}), or others may write to it"
-    if what is not None:
+                mine = os.lstat(made).st_uid == facts.st_uid  # some disks know one owner
+    if not mine:
+        what = "is a link, no folder, or the folder of another user"
         raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")

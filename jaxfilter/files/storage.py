@@ -7,29 +7,24 @@ Local files are ``Path``, all others :class:`Remote`; :func:`place_of` tells the
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
 import posixpath
-import tempfile
 import time
 import urllib.parse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
 
-from ..core.errors import InputError, OutputError
+from ..core.errors import InputError, JaxfilterError, OutputError
 
-ATTEMPTS = 5
-"""Times that a request is made before it is given up."""
-
-FIRST_WAIT = 0.25
-"""Seconds before the second attempt; each further one waits twice as long."""
+WAITS = (0.25, 0.5, 1.0, 2.0)
+"""Seconds before each further attempt of a request that has failed."""
 
 _SMALL, _LARGE = 1 << 16, 8 << 20  # bytes read ahead: of headers and chunks, and of files that are read from end to end
-_MISSING = (404, 410)
-_PASSING = (408, 425, 429, 500, 502, 503, 504)  # HTTP status of failures that may pass
-_LASTING = (PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, ImportError, ValueError)
+_LASTING = (
+    PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, ImportError, TypeError, ValueError
+)  # fmt: skip
 
 _T = TypeVar("_T")
 
@@ -83,8 +78,6 @@ class Remote:
         """The file, which can be sought; ``sequential`` reads far ahead. Raises: InputError, also when it is read."""
         ahead = _LARGE if sequential else _SMALL
         file = self._ask(lambda system, path: system.open(path, "rb", block_size=ahead, cache_type="readahead"))
-        if not file.seekable():
-            raise InputError(f"{self.uri}: the server sends files only as a whole; copy it to a local disk")
         if (cache := getattr(file, "cache", None)) is not None:  # stores in memory have none, and do not fail
             fetch = cache.fetcher
             cache.fetcher = lambda start, end: self._ask(lambda *_: fetch(start, end))
@@ -100,50 +93,49 @@ class Remote:
         return self._ask(find)
 
     def held(self) -> list[str]:
-        """Names in this folder, sorted; none if there is no such folder. Raises InputError if the store cannot be reached."""
-        found = self._ask(lambda system, path: system.ls(path, detail=False)) if self.exists() else []
+        """Names in this folder, sorted; none if there is no such folder. Raises OutputError if the store refuses."""
+        if not self.exists(OutputError):
+            return []
+        found = self._ask(lambda system, path: system.ls(path, detail=False), OutputError)
         return sorted({name for one in found if (name := posixpath.basename(one.rstrip("/")))})
 
     def remove(self) -> None:
-        """Remove the file. Raises InputError."""
-        self._ask(lambda system, path: system.rm_file(path))
+        """Remove the file. Raises OutputError."""
+        self._ask(lambda system, path: system.rm_file(path), OutputError)
 
-    def exists(self) -> bool:
-        """Whether there is such a file. Raises InputError if the store cannot be reached."""
-        return self._ask(lambda system, path: bool(system.exists(path)))
+    def exists(self, error: type[JaxfilterError] = InputError) -> bool:
+        """Whether there is such a file. Raises ``error`` if the store cannot be reached."""
+        return self._ask(lambda system, path: bool(system.exists(path)), error)
 
     def put(self, local: Path) -> None:
-        """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
-        self._ask(lambda store, path: store.put_file(str(local), path), "there is no such bucket or folder to write to")
+        """Copy a local file there; it appears when all of it has arrived. Raises OutputError."""
+        self._ask(lambda store, path: store.put_file(str(local), path), OutputError)
 
-    def _ask(self, act: Callable[[Any, str], _T], missing: str = "no such file") -> _T:
-        """What ``act`` returns for the file system and the path there, tried again after failures that may pass. Raises
-        InputError that names the URI; ``missing``: what is said of "not found"."""
+    def _ask(self, act: Callable[[Any, str], _T], error: type[JaxfilterError] = InputError) -> _T:
+        """What ``act`` returns for the file system and the path there, tried again after failures that may pass. Raises an
+        ``error`` that names the URI."""
         import fsspec
 
-        try:
-            system, path = fsspec.core.url_to_fs(self.uri)
-        except Exception as error:  # a store raises what it likes where a URL is not what it expects
-            hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(error, ImportError)
-            raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}{hint}") from error
-        system.invalidate_cache()
-        for attempt in range(1, ATTEMPTS + 1):
+        for wait in (*WAITS, None):
             try:
+                system, path = fsspec.core.url_to_fs(self.uri)
+                system.invalidate_cache()
                 return act(system, path)
-            except InputError:
+            except JaxfilterError:
                 raise
-            except Exception as error:
-                known = error.__cause__  # fsspec calls much "not found" that has another cause
-                cause = known if isinstance(known, Exception) else error
+            except Exception as failure:  # a store raises what it likes
+                cause = failure.__cause__ or failure  # fsspec calls much "not found" that has another cause
                 status = _status(cause)
-                if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
-                    raise InputError(f"{self.uri}: {missing}") from error
-                reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
-                if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
-                    raise InputError(f"{self.uri}: cannot be reached: {reason}") from error
-                if attempt == ATTEMPTS:
-                    raise InputError(f"{self.uri}: failed {ATTEMPTS} times, the last time with {reason}") from error
-            time.sleep(FIRST_WAIT * 2 ** (attempt - 1))
+                if status in (404, 410) or (status is None and isinstance(cause, FileNotFoundError)):
+                    what = "no such bucket or folder to write to" if error is OutputError else "no such file"
+                    raise error(f"{self.uri}: {what}") from failure
+                passes = status is None or status >= 500 or status in (408, 425, 429)
+                if wait is None or not passes or isinstance(cause, _LASTING):
+                    hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(
+                        cause, ImportError
+                    )
+                    raise error(f"{self.uri}: cannot be reached: {type(cause).__name__}: {cause}{hint}") from failure
+            time.sleep(wait)
         raise AssertionError("unreachable")
 
 
@@ -166,33 +158,7 @@ def place_of(what: str | os.PathLike[str] | Remote) -> Place:
     return Path(urllib.parse.unquote(rest)) if scheme in ("file", "local") else Remote(text)
 
 
-@contextlib.contextmanager
-def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
-    """A local name to write to; when the block ends, the file is copied to ``place``, where it appears whole. Raises:
-    OutputError if it exists and not ``overwrite``, or if the store refuses."""
-    try:
-        if not overwrite and place.exists():
-            raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
-        with tempfile.TemporaryDirectory(prefix="jaxfilter-", ignore_cleanup_errors=True) as folder:
-            part = Path(folder) / "part"
-            yield part
-            place.put(part)
-    except InputError as error:
-        if str(error).startswith(f"{place}:"):
-            raise OutputError(str(error)) from error
-        raise
-
-
-def check_writable(place: Remote) -> None:
-    """Put an empty file beside ``place`` and remove it, before much is done for it. Raises: OutputError if the store refuses."""
-    probe = Remote(f"{place}.jaxfilter-run")
-    with new_object(probe, overwrite=True) as part:
-        part.touch()
-    with contextlib.suppress(InputError):  # it may be allowed to write, but not to remove
-        probe.remove()
-
-
-def _status(error: Exception) -> int | None:
+def _status(error: BaseException) -> int | None:
     """The HTTP status that an error of aiohttp or of botocore tells of."""
     response = getattr(error, "response", None)
     told = response.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(response, dict) else None

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -33,13 +33,12 @@ SUFFIXES = (".txt", ".xyz", ".csv")
 GROUND, OBJECT = 0, 1
 """Labels as the ISPRS samples have them."""
 
-_HEAD = 1000  # lines that may come before the first point, and comments that may name columns
 _BLANK = b" \t\n"
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
-_PLAIN = bytes(i for i in range(256) if i > 0x1F or i in b"\t\n")  # no control characters
 _END = 8e88  # pandas sees this behind the last cell of each line, so that no cell can be missing; no cell of points
 _DELIMITERS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
-_NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE | re.ASCII)
+_NANS = [sign + word for sign in ("", "-") for word in ("nan", "NaN", "NAN")]
+_NUMBER = re.compile(rf"{'|'.join(_NANS)}|(?i:[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf|infinity))", re.ASCII)
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
@@ -50,23 +49,16 @@ _LARGEST = LARGEST | {"withheld": 1, "overlap": 1, "label": 1}
 
 @dataclass(frozen=True, eq=False)
 class TextFile:
-    """Points of a text file.
-
-    Attributes:
-        format: in words. checksum: CRC-32 of all bytes of the file.
-        rows: bool of all lines of data, those whose points these are.
-        xyz: f64[n, 3], file units. columns: arrays [n], named as those of a cloud; ``reference`` comes from a column ``label``.
-        numbering: of the echoes of all points of the file.
-    """
+    """Points of a text file."""
 
     path: Path
     identity: Identity
-    format: str
-    checksum: int
-    rows: np.ndarray
-    xyz: np.ndarray
-    columns: dict[str, np.ndarray]
-    numbering: Numbering
+    format: str  # in words
+    checksum: int  # CRC-32 of all bytes of the file
+    rows: np.ndarray  # bool of all lines of data, those whose points these are
+    xyz: np.ndarray  # f64[n, 3], file units
+    columns: dict[str, np.ndarray]  # [n], named as those of a cloud; "reference" comes from a column "label"
+    numbering: Numbering  # of the echoes of all points of the file
 
     @property
     def points(self) -> int:
@@ -81,19 +73,17 @@ class TextFile:
     @property
     def decimals(self) -> int:
         """How many show the coordinates: 3, or 4 where there are more."""
-        thousandths = self.xyz[:_HEAD] * 1000
+        thousandths = self.xyz[:1000] * 1000
         return 4 if (np.abs(thousandths - np.rint(thousandths)) > 0.01).any() else 3
-
-    def part(self, some: np.ndarray) -> TextFile:
-        """Some of the points, bool[n]."""
-        rows = self.rows.copy()
-        rows[rows] = some
-        columns = {name: column[some] for name, column in self.columns.items()}
-        return dataclasses.replace(self, rows=rows, xyz=self.xyz[some], columns=columns)
 
     def within(self, bounds: Bounds | None) -> TextFile:
         """The points inside bounds."""
-        return self if bounds is None else self.part(inside(self.xyz, bounds))
+        if bounds is None:
+            return self
+        rows, some = self.rows.copy(), inside(self.xyz, bounds)
+        rows[rows] = some
+        columns = {name: column[some] for name, column in self.columns.items()}
+        return dataclasses.replace(self, rows=rows, xyz=self.xyz[some], columns=columns)
 
     def cloud(self, reading: Reading, *, strict: bool = True) -> PointCloud:
         """The points as a cloud; they are those inside ``reading.bounds``. ``strict``: coordinates that cannot be lengths are an
@@ -120,13 +110,13 @@ class TextFile:
         ``ground`` is bool[n]; ``classes`` makes new classes u8[n] of the old ones. Raises: InputError if the file is gone or has
         changed; OSError.
         """
-        with reading_errors(self.path):
-            identity, content = _content(self.path, CHANGED_SINCE)
-            if identity != self.identity or zlib.crc32(content) != self.checksum:
+        with reading_errors(self.path), self.identity.kept(self.path, CHANGED_SINCE):
+            content = self.path.read_bytes()
+            if zlib.crc32(content) != self.checksum:
                 raise InputError(f"{self.path}: {CHANGED_SINCE}")
             lines = _lines(self.path, content)
-            names, known = lines.header(), lines.columns
-            table = lines.table(range(len(names)), dtype=object, na_filter=False)
+            table = lines.table(range(len(lines.names)), dtype=object, na_filter=False)
+        names, known = list(lines.names), lines.columns
         table = table if self.rows.all() else table[self.rows].copy()
         if "label" in known or "classification" not in known:
             table[known.get("label", len(names))] = np.where(ground, GROUND, OBJECT)
@@ -137,7 +127,7 @@ class TextFile:
         table.to_csv(
             target,
             sep=lines.delimiter or ("\t" if re.match(rb"[^ \n]*\t[^ \n]*\n", lines.data) else " "),
-            header=False if lines.named is None else names,
+            header=names if lines.named else False,
             index=False,
             quoting=csv.QUOTE_ALL if quoted else csv.QUOTE_MINIMAL,
             encoding="utf-8-sig" if content.startswith(_MARK) else "utf-8",
@@ -153,11 +143,14 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
     labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``; if columns cannot be told.
     """
     with reading_errors(path):
-        identity, content = _content(path, CHANGED_IN_READING)
+        identity = Identity.of(path)
+        with identity.kept(path, CHANGED_IN_READING):
+            content = path.read_bytes()
         lines = _lines(path, content)
         xyz, columns = lines.points()
+        words = f"text separated by {_DELIMITERS[lines.delimiter]}: {' '.join(lines.columns)}"
         how = numbering(columns, xyz[:, 2])
-        found = TextFile(path, identity, str(lines), zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns, how)
+        found = TextFile(path, identity, words, zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns, how)
         part = found.within(bounds)
         odd = ~np.isfinite(xyz)
         odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
@@ -187,76 +180,52 @@ def write_table(target: BinaryIO, xyz: np.ndarray, ground: np.ndarray, decimals:
     target.writelines(form % (*point, flag) for point, flag in zip(xyz.tolist(), label.tolist(), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """The lines of a file.
-
-    Attributes:
-        content: all, without a byte order mark, with line feeds alone at their ends. data: those that hold data.
-        delimiter: comma, semicolon, tab, or None for white space. names: of all columns.
-        named: number of the line that names the columns, from 0, or None. first: that of the first line of data.
-    """
+class _Lines(NamedTuple):
+    """The lines of a file, and how they are split into cells."""
 
     path: Path
-    content: bytes
-    data: bytes
-    delimiter: str | None
-    names: list[str]
-    named: int | None
-    first: int
-
-    def __str__(self) -> str:
-        return f"text separated by {_DELIMITERS[self.delimiter]}: {' '.join(self.columns)}"
+    content: bytes  # all lines, each with a line feed at its end
+    data: bytes  # those from the first point on that are neither blank nor comments
+    delimiter: str | None  # None: white space
+    names: list[str]  # of all columns; the first one with the mark of a comment
+    columns: dict[str, int]  # positions of those that are understood
+    named: int  # the line of the names, from 1; 0 if there is none
+    first: int  # that of the first point
 
     def place(self, row: int) -> str:
         """The file and the line of a row of the data, for messages."""
-        numbered = enumerate(io.BytesIO(self.content))
-        data = (number for number, line in numbered if number >= self.first and _holds_data(line))
-        return f"{self.path}: line {next(itertools.islice(data, row, None)) + 1}"
-
-    @functools.cached_property
-    def columns(self) -> dict[str, int]:
-        """Position by name of the columns that are understood. Raises: InputError where two have one meaning."""
-        columns: dict[str, int] = {}
-        for i, cell in enumerate(self.names):
-            name = _meaning(cell)
-            if name in columns and self.named is not None:
-                both = f"the columns {self.names[columns[name]]!r} and {cell!r} both name the {name.replace('_', ' ')}"
-                raise InputError(f"{self.path}: line {self.named + 1}: {both}; rename the one that does not count")
-            if name is not None:
-                columns[name] = i
-        return columns
-
-    def header(self) -> list[str]:
-        """Names of the columns, as they stand in the file: the first one with the mark of a comment."""
-        line = b"" if self.named is None else self.content.split(b"\n", self.named + 1)[self.named]
-        mark = line[: len(line) - len(line.lstrip(b"/# \t"))].decode().strip()
-        return [mark + self.names[0], *self.names[1:]]
+        lines = enumerate(io.BytesIO(self.content), 1)
+        numbers = (number for number, line in lines if number >= self.first and _holds_data(line))
+        return f"{self.path}: line {next(itertools.islice(numbers, row, None))}"
 
     def points(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Coordinates f64[n, 3] and columns, as of :class:`TextFile`. Raises: InputError."""
         values, columns = self._numbers(), {}
-        for name, column in ((name, values[name]) for name in _LARGEST if name in values):
-            odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
+        for name in _LARGEST.keys() & values:
+            column, most = values[name], _LARGEST[name]
+            odd = ~((column >= 0) & (column <= most) & (column == np.rint(column)))
             if odd.any():
                 row = int(odd.argmax())
-                hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
-                raise InputError(f"{self.place(row)}: {name} {column[row]:g}: whole numbers, {hint}, are needed")
+                raise InputError(
+                    f"{self.place(row)}: {name} is {column[row]:g}; whole numbers from 0 to {most} are needed"
+                )
             columns[name] = column.astype(COLUMNS.get(name, bool))
         if "label" in columns:
             columns["reference"] = ~columns.pop("label")
         return np.column_stack([values[axis] for axis in "xyz"]), columns
 
     def _numbers(self) -> dict[str, np.ndarray]:
-        """The columns that are understood, f64[n]. Raises InputError with line and name of the first cell that is no number."""
+        """The columns that are understood, f64[n]. Raises: InputError with line and name of the first cell that is no number."""
         end, n = len(self.names), self.data.count(b"\n")
-        self._checked(1)  # a column of the words True and False alone would be numbers to pandas
-        if not self.data.translate(None, _PLAIN):
-            with contextlib.suppress(ValueError):  # pandas' own errors, too
-                table = self.table([*self.columns.values(), end], dtype=float, na_values=["nan", "NaN", "NAN"])
-                if len(table) == n and (table[end] == _END).all():
-                    return {name: table[column].to_numpy(float) for name, column in self.columns.items()}
-        return self._checked(n)
+        self._check(1)  # a column of the words True and False alone would be numbers to pandas
+        with contextlib.suppress(ValueError):  # pandas' own errors, too
+            table = self.table([*self.columns.values(), end], dtype=float, na_values=_NANS)
+            if len(table) == n and (table[end] == _END).all():
+                return {name: table[column].to_numpy(float) for name, column in self.columns.items()}
+        self._check(n)
+        raise InputError(
+            f"{self.path}: cannot be split into cells; close all quotes, and take line breaks out of cells"
+        )
 
     def table(self, columns: Sequence[int], **options: Any) -> Any:
         """The cells of some columns, as a table of pandas; behind the last one of the file is a column of :data:`_END`."""
@@ -269,90 +238,64 @@ class _Lines:
             io.BytesIO(self.data.replace(b"\n", f"{self.delimiter or ' '}{_END}\n".encode())),
             sep=self.delimiter or r"\s+",
             header=None,
-            engine="c",
+            usecols=columns,
             skipinitialspace=True,
             keep_default_na=False,
-            low_memory=False,
-            usecols=columns,
             encoding_errors="surrogateescape",
             float_precision="round_trip" if old else None,
             **options,
         )
 
-    def _checked(self, most: int) -> dict[str, np.ndarray]:
-        """:meth:`_numbers` of the first lines of data, one by one."""
-        lines = list(itertools.islice(io.BytesIO(self.data), most))
-        values = {name: np.empty(len(lines)) for name in self.columns}
-        for row, line in enumerate(lines):
-            if odd := re.search(rb"[\x00-\x08\x0b-\x1f]", line):
-                raise InputError(f"{self.place(row)} holds the control character 0x{odd[0][0]:02x}; remove it")
-            try:
-                cells = _cells(line, self.delimiter, strict=True)
-            except csv.Error as error:
-                hint = "take line breaks out of cells, and put quotes around whole cells only, doubled within them"
-                raise InputError(f"{self.place(row)} cannot be split ({error}); {hint}") from error
+    def _check(self, most: int) -> None:
+        """Raises: InputError if one of the first lines of data is not as wide as the others, or has a cell that is no number."""
+        for row, line in enumerate(itertools.islice(io.BytesIO(self.data), most)):
+            cells = _cells(line, self.delimiter)
             if len(cells) != len(self.names):
-                model = self.first if self.named is None else self.named
                 raise InputError(
-                    f"{self.place(row)} has {len(cells)} columns, {_shown(line)}, and line {model + 1} has {len(self.names)}: "
-                    "give every line as many, give comments lines of their own and no names of columns, write decimals with a "
-                    f"point, and put quotes around cells that hold {_DELIMITERS[self.delimiter]}"
+                    f"{self.place(row)} has {len(cells)} columns, {line[:60]!r}, and line {self.named or self.first} has "
+                    f"{len(self.names)}: give every line as many, give comments lines of their own, write decimals with a point, "
+                    f"and put quotes, doubled inside, around cells that hold {_DELIMITERS[self.delimiter]}"
                 )
-            for name, cell in ((name, cells[column]) for name, column in self.columns.items()):
-                if not _NUMBER.fullmatch(cell):
-                    hint = "; write decimals with a point and nothing between thousands" if {*", "} & {*cell} else ""
-                    raise InputError(f"{self.place(row)}: {name} is {cell!r}, not a number{hint}")
-                values[name][row] = float(cell)
-        return values
-
-
-def _content(path: Path, message: str) -> tuple[Identity, bytes]:
-    """All bytes of a file. Raises: InputError with ``message`` if it changes meanwhile; OSError."""
-    with open(path, "rb") as file:  # open, so that no other file gets the same number meanwhile
-        identity = Identity.of(file.fileno())
-        with identity.kept(path, message):
-            return identity, file.read()
+            for name, column in self.columns.items():
+                if not _NUMBER.fullmatch(cells[column]):
+                    hint = "write decimals with a point and nothing between thousands"
+                    raise InputError(f"{self.place(row)}: {name} is {cells[column]!r}, not a number; {hint}")
 
 
 def _lines(path: Path, content: bytes) -> _Lines:
-    """Raises: InputError if the columns cannot be told from the first lines."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise InputError(f"{path}: the text is UTF-16; save it as UTF-8")
-    content = content.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    head: list[bytes] = []  # the lines before the first point
-    first, others = None, 0
-    for line in io.BytesIO(content):
-        if _is_point(line):
-            first = line
-            break
-        head.append(line)
-        others += _holds_data(line)
-        if others > _HEAD:
-            break
-    near = [i for i in reversed(range(len(head))) if head[i].strip(_BLANK)]
+    """Raises: InputError if the columns cannot be told from the lines above the first point."""
+    if b"\0" in content:
+        raise InputError(f"{path}: holds zero bytes, as UTF-16 does, and text has none; save it as UTF-8")
+    content = content.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n").removesuffix(b"\n") + b"\n"
+    head = dict(enumerate(itertools.takewhile(lambda line: not _is_point(line), io.BytesIO(content)), 1))
+    data = content[sum(map(len, head.values())) :]
+    first = next(io.BytesIO(data), b"x y z")
+    near = [i for i in reversed(head) if head[i].strip(_BLANK)]
     comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))
-    above = near[len(comments) :][:1]  # the last other line
-    headers: list[tuple[str | None, list[str], int | None]] = []  # what may name the columns, and how
-    for delimiter, i in itertools.product(_DELIMITERS, above + comments[:_HEAD]):
-        names = _cells(head[i].lstrip(b"/# \t"), delimiter)
-        headers += [(delimiter, names, i)] if {"x", "y", "z"} <= set(map(_meaning, names)) else []
-    if above and not headers:
-        wrong = f"line {above[0] + 1}, {_shown(head[above[0]])}, names no columns x, y and z"
-        raise InputError(f"{path}: {wrong if first else 'no line holds three numbers'}; this is no text of points")
-    widths = {delimiter: len(_cells(first or b"x y z", delimiter)) for delimiter in _DELIMITERS}
-    if headers:  # that which fits
-        found = max(headers, key=lambda one: (len(one[1]) == widths[one[0]], widths[one[0]]))
-    else:
-        unnamed = next((delimiter for delimiter in (";", ",") if widths[delimiter] >= 3), None)
-        if not 3 <= widths[unnamed] <= 4:
-            wrong = f"{widths[unnamed]} columns without names"
-            raise InputError(f"{path}: {wrong}; x y z and x y z label are understood, others need a header line")
-        found = unnamed, ["x", "y", "z", "label"][: widths[unnamed]], None
-    data = b"" if first is None else content[sum(map(len, head)) :].removesuffix(b"\n") + b"\n"
-    letters = np.frombuffer(data, np.uint8)
-    if np.isin(letters[1:][letters[:-1] == ord("\n")], list(b"# \t\n")).any():  # a line may hold no data
+    above = near[len(comments) :][:1]  # the last line that is none
+    named, unnamed = [], []
+    for delimiter in _DELIMITERS:
+        width = len(_cells(first, delimiter))
+        for i in above + comments:
+            names = _cells(head[i].lstrip(b"/# \t"), delimiter)
+            if {"x", "y", "z"} <= set(map(_meaning, names)):
+                named.append((len(names) != width, delimiter, names, i))
+        if 3 <= width <= 4 and not above and delimiter != "\t":
+            unnamed.append((False, delimiter, ["x", "y", "z", "label"][:width], 0))
+    if not named and not unnamed:
+        i = above[0] if above else len(head) + 1
+        wrong = "holds no point x y z or x y z label, and names no columns x, y and z"
+        raise InputError(f"{path}: line {i}, {head.get(i, first)[:60]!r}, {wrong}; this is no text of points")
+    _, delimiter, names, line = min(named or unnamed, key=lambda one: one[0])
+    known = list(map(_meaning, names))
+    columns = {name: known.index(name) for name in known if name}
+    if twice := [name.replace("_", " ") for name in columns if known.count(name) > 1]:
+        raise InputError(f"{path}: line {line}: two columns name the {twice[0]}; rename the one that does not count")
+    if line:
+        names[0] = re.match(rb"[/# \t]*", head[line])[0].decode().strip() + names[0]  # type: ignore[index]
+    if re.search(rb"\n[ \t]*[#\n]", data):
         data = re.sub(rb"(?m)^[ \t]*(?:#.*)?\n", b"", data)
-    return _Lines(path, content, data, *found, len(head))
+    return _Lines(path, content, data, delimiter, names, columns, line, len(head) + 1)
 
 
 def _holds_data(line: bytes) -> bool:
@@ -365,22 +308,18 @@ def _is_point(line: bytes) -> bool:
     return _holds_data(line) and sum(_NUMBER.fullmatch(cell) is not None for cell in cells) >= 3
 
 
-def _shown(line: bytes) -> str:
-    """Bytes of a file, for messages."""
-    return repr(line.strip()[:60].decode("utf-8", "replace"))
-
-
-def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str]:
-    """The cells of one line, without the blanks around them; none if it cannot be split. Raises csv.Error instead if ``strict``,
-    and for quotes that do not close where a cell ends."""
+def _cells(line: bytes, delimiter: str | None) -> list[str]:
+    """The cells of a line, without the blanks around them; none if quotes do not enclose whole cells, or do not close."""
     text = line.decode("utf-8", "surrogateescape").strip("\r\n")
     if delimiter is None:
-        text = " ".join(re.split(r"[ \t]+", text.strip(" \t")))
-    text = re.sub(f'" +(?={delimiter}|$)', '"', text) if delimiter and strict else text
-    with contextlib.nullcontext() if strict else contextlib.suppress(csv.Error):
-        row = next(csv.reader([text], delimiter=delimiter or " ", skipinitialspace=True, strict=strict), [])
-        return [cell.strip(" \t") for cell in row]
-    return []
+        text = re.sub(r"[ \t]+", " ", text.strip(" \t"))
+    else:
+        text = re.sub(f'" +(?={delimiter}|$)', '"', text)
+    try:
+        row = next(csv.reader([text], delimiter=delimiter or " ", skipinitialspace=True, strict=True), [])
+    except csv.Error:
+        return []
+    return [cell.strip(" \t") for cell in row]
 
 
 def _meaning(name: str) -> str | None:

@@ -37,15 +37,13 @@ def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFra
     try:
         _check_source(Path(path))
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-        table = geopandas.read_file(path, layer=layers[0] if layers else None)
+        if len(layers) != 1:
+            raise ValueError(
+                f"one layer of shapes is needed, in a file of its own; it has {', '.join(layers) or 'none'}"
+            )
+        table = geopandas.read_file(path, layer=layers[0])
     except Exception as error:  # GDAL has many of its own
         raise InputError(f"{path}: cannot be read as {what}: {error}") from error
-    if not isinstance(table, geopandas.GeoDataFrame):
-        raise InputError(f"{path}: holds no geometry: pass {what}, as a GeoPackage or GeoJSON")
-    if len(layers) > 1:
-        raise InputError(
-            f"{path}: has the layers {', '.join(layers)}: save the one that is meant, {what}, as a file of its own"
-        )
     if table.crs == "EPSG:4326" and max(map(abs, table.total_bounds)) > 360:  # GDAL's guess where GeoJSON states none
         table = table.set_crs(None, allow_override=True)
     return table
@@ -98,6 +96,7 @@ def write_features(
         try:
             pyogrio.set_gdal_config_options({_DATE: "1970-01-01T00:00:00Z"})
             for number, table in enumerate(tables):
+                table = table.set_crs(for_outputs(table.crs), allow_override=True)
                 _append(table, target, named, layer, first=number == 0)
         finally:
             pyogrio.set_gdal_config_options({_DATE: before})
@@ -107,21 +106,16 @@ def write_features(
 def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: str, first: bool) -> None:
     import pyogrio
 
-    kind = DRIVERS[target.suffix.lower()]
+    kind, crs = DRIVERS[target.suffix.lower()], table.crs
     options = {"layer": layer} if kind == "GPKG" else {}
-    table = table.set_crs(for_outputs(table.crs), allow_override=True)
-    if first and table.crs is None:
-        also = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
-        warn(f"{target}: the cloud has no CRS, so the file has none{also}: set the CRS of the layer where it is opened")
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
             table.to_file(named, driver=kind, engine="pyogrio", mode="w" if first else "a", **options)
-        lost = first and kind == "GeoJSON" and table.crs is not None and pyogrio.read_info(named)["crs"] == "EPSG:4326"
     except Exception as error:
         raise OutputError(f"{target}: cannot be written: {error}") from error
-    if lost:
-        warn(
-            f"{target}: GeoJSON cannot state the CRS {table.crs.name}, which has no code, so programs take its coordinates for "
-            "degrees: write a GeoPackage (.gpkg), or set the CRS of the layer where it is opened"
-        )
+    degrees = kind == "GeoJSON" and (crs is None or pyogrio.read_info(named)["crs"] == "EPSG:4326")
+    if first and (crs is None or degrees):
+        why = "the cloud has no CRS" if crs is None else f"GeoJSON cannot state the CRS {crs.name}, which has no code"
+        also = ", and programs take its coordinates for degrees" * degrees
+        warn(f"{target}: {why}, so the file has none{also}: set the CRS of the layer where it is opened")
