@@ -12,10 +12,9 @@ import numpy as np
 from .echoes import echo_mask, numbering, renumbered
 from .errors import InputError, warn
 from .frame import QUANTUM as QUANTUM
-from .frame import Coordinates, check_scales, ends
+from .frame import Coordinates, check_scales
 from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
-from .markup import sheet
 from .reading import KEPT_CLASSES as KEPT_CLASSES
 from .reading import Reading
 from .units import UNITS, Units, parse_crs
@@ -98,20 +97,6 @@ class PointCloud:
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self)} points, {int(self.candidate.sum())} candidates, origin {self.origin.tolist()})"
-
-    def _repr_html_(self) -> str:
-        rows: list[tuple[str, Any]] = [("points", len(self)), ("candidates", int(self.candidate.sum()))]
-        if len(self):
-            xyz = self.xyz if self.valid is None or not self.valid.any() else self.xyz[self.valid]
-            low, high = dataclasses.replace(self, xyz=np.stack(ends(xyz))).coordinates()
-            rows += [(axis, f"{a:.2f} to {b:.2f}") for axis, a, b in zip("xyz", low, high, strict=True)]
-        rows += [("units", str(self.units)), ("CRS", "unknown" if self.crs is None else self.crs.name)]
-        if self.classification is not None:
-            counts = np.bincount(self.classification)
-            rows += [("classes", ", ".join(f"{c}: {int(counts[c]):,}" for c in np.flatnonzero(counts)))]
-        if self.reference is not None:
-            rows += [("reference ground", int(self.reference.sum()))]
-        return sheet("PointCloud", rows)
 
     @classmethod
     def from_arrays(

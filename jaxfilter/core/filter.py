@@ -15,7 +15,6 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn, keep_compilations
 from .errors import InputError, ParameterError, check_whole, warn
-from .markup import table
 from .params import Preset, check_fields, declared, is_number
 from .points import Points, canonical_points, check_extent, plain_points
 from .process import need_threads
@@ -260,17 +259,6 @@ class Filter:
         for field in declared(self):
             if isinstance(getattr(self, field.name), jax.core.Tracer):
                 raise ParameterError(f"{name}({field.name}=...)(cloud): the field is traced; {advice}")
-
-    def _repr_html_(self) -> str:
-        rows = []
-        for field in declared(self):
-            value, meta = getattr(self, field.name), field.metadata
-            default = "" if value == field.default else f" (default {field.default})"
-            rows.append(
-                (field.name, f"{value}{default}", meta.get("symbol") or "", meta.get("unit") or "", meta["doc"])
-            )
-        heading = ("parameter", "value", "symbol", "unit", "meaning")
-        return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
 
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])

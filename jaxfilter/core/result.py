@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from .errors import InputError, warn
-from .markup import sheet
 from .water import WaterCells
 
 if TYPE_CHECKING:
@@ -164,15 +163,6 @@ class FilterResult:
     def __repr__(self) -> str:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
         return f"FilterResult({int(self.ground.sum())} of {len(self)} ground, {share:.1f} %; {self.status.message})"
-
-    def _repr_html_(self) -> str:
-        counts = np.bincount(self.decision, minlength=len(Decision))
-        rows: list[tuple[str, Any]] = [("ground", int(self.ground.sum())), ("points", len(self))]
-        rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
-        rows += [("ended", self.status.message)]
-        if self.run is not None:
-            rows += [("filter", repr(self.run.filter)), ("seconds", f"{self.run.seconds:.2f}")]
-        return sheet("FilterResult", rows)
 
     def to_xarray(self) -> xarray.Dataset:
         """All quantities over the dimension ``point``, with their units, and what the cloud says of the points.
