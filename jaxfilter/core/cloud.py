@@ -135,11 +135,8 @@ class PointCloud:
         given = numbers(xyz, f"{name}: coordinates")
         if given.ndim != 2 or given.shape[1] != 3:
             raise InputError(f"{name}: coordinates must have shape (n, 3), not {given.shape}")
-        xyz = given.astype(np.float64, copy=False)
-        if isinstance(xyz, np.ma.MaskedArray):
-            xyz = xyz.filled(np.nan)
-        finite = np.isfinite(xyz).all(axis=1)
-        valid = None
+        xyz = np.ma.filled(given.astype(np.float64, copy=False), np.nan)
+        finite, valid = np.isfinite(xyz).all(axis=1), None
         if not finite.all():
             bad = int(len(xyz) - finite.sum())
             odd = "NaN, infinite or masked" if np.ma.is_masked(given) else "NaN or infinite"
@@ -151,8 +148,7 @@ class PointCloud:
             warn(f"{name}: {bad} points with {odd} coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
-        local = np.empty(xyz.shape, np.float32)
-        places = Coordinates(xyz, local, kind=given.dtype)
+        places = Coordinates(xyz, np.empty(xyz.shape, np.float32), kind=given.dtype)
         return cls._assembled(places, valid, reading, name, attributes)
 
     @classmethod
@@ -253,17 +249,8 @@ class PointCloud:
         ignore_overlap: bool = False,
         keep_withheld: bool = False,
     ) -> PointCloud:
-        """A cloud whose candidates are chosen anew; the arrays are shared.
-
-        Args:
-            returns: comma-separated list out of ``first``, ``intermediate``, ``last``, ``only``, or ``all``. The default
-                takes single echoes and the last of several.
-            ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
-                default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
-            ignore_overlap: set points of the overlap of flight lines aside as well, see :attr:`in_overlap`.
-            keep_withheld: take points that carry the withheld flag as well.
-
-        Raises: InputError for returns and classes that there are not.
+        """A cloud whose candidates are chosen anew, by fields of :class:`jaxfilter.Reading`; the arrays are shared. Raises:
+        InputError for returns and classes that there are not.
 
         >>> everything = cloud.select(returns="all", ignore_classes=())
         >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
@@ -304,16 +291,10 @@ class PointCloud:
         >>> bool(np.allclose(cloud.coordinates(), scene.xyz, atol=0.001))
         True
         """
-        factor = np.array([self.units.xy, self.units.xy, self.units.z])
-        return self.origin + self.xyz.astype(np.float64) / factor
+        return self.origin + self.xyz.astype(np.float64) / self.units.factor
 
     def grid_offset(self, cell: float) -> tuple[float, float]:
-        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor.
-
-        >>> made = jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]))
-        >>> made.grid_offset(10.0)
-        (-2.0, -7.0)
-        """
+        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor."""
         lag = (self.origin[:2] - self.anchor) * self.units.xy
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
 

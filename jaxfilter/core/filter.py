@@ -16,7 +16,7 @@ from .cloud import PointCloud, as_cloud
 from .compilation import in_turn, keep_compilations
 from .errors import InputError, ParameterError, check_whole, warn
 from .params import Preset, check_fields, declared, is_number
-from .points import Points, canonical_points, check_extent, plain_points
+from .points import Points, canonical_points, check_extent, has_area, plain_points
 from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
 from .water import WaterCells
@@ -139,9 +139,6 @@ class Filter:
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
         """Field values for distinct candidates and a largest building, metres: those of :meth:`from_spacing`, and what a method
         tells from the points besides.
-
-        >>> jf.SMRF.from_points(jf.SMRF().points_of(cloud), 30.0)
-        {'window': 15.0, 'cell': 1.0}
         """
         return cls.from_spacing(points.spacing(), largest_building)
 
@@ -268,11 +265,6 @@ _Filter = TypeVar("_Filter", bound=Filter)
 def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
     """A copy of a filter, and the names of what has been read of it so far: what a step makes of the copy, it makes of every set
     that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it.
-
-    >>> from jaxfilter.core.filter import watched
-    >>> one, read = watched(jf.SMRF(window=12.0))
-    >>> one.reach, sorted(read)
-    (12, ['cell', 'reach', 'window'])
     """
     one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
     made_before = own.keys() - names - {"_read"}  # of fields that nobody has watched
@@ -291,14 +283,6 @@ def stage(method: _Method) -> _Method:
 
     Sets that agree in all fields that it reads share the result, and must not change it, until a set with other values asks for
     its own.
-
-    >>> from jaxfilter.core.filter import stage
-    >>> steep = stage(lambda filter_, points: [filter_.slope])
-    >>> points = dataclasses.replace(jf.SMRF().points_of(cloud), kept={})
-    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(threshold=0.3), points)
-    True
-    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(slope=0.3), points)
-    False
     """
 
     @functools.wraps(method)
@@ -321,25 +305,13 @@ def passed(filter_: Filter, labels: Labels | FilterResult) -> np.ndarray:
     """bool[m], ground by the thresholds in ``filter_.LAST``; ``labels`` are those of a set that may differ in these.
 
     Of a FilterResult: bool[n]. Methods that have such thresholds register how they apply them.
-
-    >>> from jaxfilter.core.filter import passed
-    >>> jf.CSF.LAST
-    ('threshold',)
-    >>> other = jf.CSF(threshold=0.3)
-    >>> bool((passed(other, jf.CSF(threshold=0.5)(cloud)) == other(cloud).ground).all())
-    True
     """
     raise TypeError(f"{type(filter_).__name__} has no thresholds that are applied last")
 
 
 @functools.singledispatch
 def lowest_among(filter_: Filter, points: Points) -> np.ndarray | None:
-    """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does.
-
-    >>> from jaxfilter.core.filter import lowest_among
-    >>> lowest_among(jf.SMRF(), jf.SMRF().points_of(cloud)) is None
-    True
-    """
+    """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does."""
     return None
 
 
@@ -348,10 +320,6 @@ def of_scene(filter_: Filter, some: Callable[[int], list[PointCloud]]) -> dict[s
     """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
 
     ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
-
-    >>> from jaxfilter.core.filter import of_scene
-    >>> of_scene(jf.SMRF(), lambda most: [cloud])
-    {}
     """
     return {}
 
@@ -367,13 +335,6 @@ def ground_each(
     ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
 
     Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
-
-    >>> from jaxfilter.core.filter import ground_each
-    >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5)]
-    >>> points = sets[0].points_of(cloud)
-    >>> found = dict(ground_each(sets[0], points, sets, key=None, workers=1, memory=1e9))
-    >>> bool((found[0] <= found[1]).all())
-    True
     """
     jobs = alike(values_of(sets, but=filter_.LAST))
     points = points if points.kept is not None else dataclasses.replace(points, kept={})
@@ -425,7 +386,7 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
     z = points.xyz[:, 2]
     three = all(len(np.unique(points.xyz[:few, :2], axis=0)) <= 3 for few in (10, 1000, m))
-    if three or not points.has_area():
+    if three or not has_area(points.xyz):
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
         ground = np.ones(m, bool)

@@ -50,12 +50,7 @@ def most_cells(points: int, limit: int = MAX_CELLS) -> int:
 
 
 def period(*sides: float) -> float:
-    """The least multiple of the largest side that is one of all of them, metres; the first side where none up to ten times is.
-
-    >>> from jaxfilter.core.grid import period
-    >>> period(1.5, 10.0), period(10.0, 0.37)
-    (30.0, 10.0)
-    """
+    """The least multiple of the largest side that is one of all of them, metres; the first side where none up to ten times is."""
     for length in max(sides) * np.arange(1, 11):
         if all(abs(length / side - round(length / side)) < 1e-6 for side in sides):
             return float(length)

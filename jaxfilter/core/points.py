@@ -55,10 +55,6 @@ class Points:
         """[m] for the rows out of [n] for the cloud; of equal points, which are one row, the first in the cloud counts.
 
         ``values[points.index]`` is that for methods on a grid only: the rows of others are sorted and distinct.
-
-        >>> points = jf.PTD().points_of(cloud)
-        >>> bool((points.gather(cloud.xyz) == points.xyz).all())
-        True
         """
         values = np.asarray(values)
         if self.plain:
@@ -68,13 +64,7 @@ class Points:
         return values[first]
 
     def spread(self, values: Any, empty: Any = 0, dtype: Any = None) -> np.ndarray:
-        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates.
-
-        >>> points = jf.PTD().points_of(cloud)
-        >>> height = points.spread(points.xyz[:, 2], np.nan)
-        >>> bool((height[cloud.candidate] == cloud.xyz[cloud.candidate, 2]).all())
-        True
-        """
+        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates."""
         values = np.asarray(values)
         dtype = dtype or values.dtype
         if not self.plain:
@@ -98,10 +88,6 @@ class Points:
     def anchored(self) -> np.ndarray:
         """f64[2], metres from the anchor of the cloud to the zero of its local coordinates."""
         return np.asarray((self.cloud.origin[:2] - self.cloud.anchor) * self.cloud.units.xy)
-
-    def has_area(self) -> bool:
-        """As :func:`has_area` of all."""
-        return has_area(self.xyz)
 
     def spacing(self) -> float:
         """Mean point spacing in metres: square root of occupied area per distinct point.

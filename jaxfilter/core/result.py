@@ -240,9 +240,5 @@ class GroundFilter(Protocol):
     ) -> FilterResult: ...
 
     def halo(self) -> float:
-        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside.
-
-        >>> jf.SMRF(window=18.0).halo() >= 18.0
-        True
-        """
+        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside."""
         ...
