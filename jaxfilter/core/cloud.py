@@ -162,17 +162,10 @@ class PointCloud:
         name: str = "xyz",
         **columns: Any,
     ) -> PointCloud:
-        """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
-
-        ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. ``columns`` are the attributes of
-        :meth:`from_arrays`. Raises: InputError likewise.
-
-        >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
-        >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))
-        >>> made.coordinates().tolist()
-        [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
-        """
+        """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates. ``ticks``,
+        i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales`` (see
+        :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. ``columns`` are the attributes of
+        :meth:`from_arrays`. Raises: InputError likewise."""
         check_scales(scales, offsets, name)
         if ticks.dtype != np.int32 or ticks.shape[1:] != (3,) or not ticks.flags.c_contiguous:
             raise InputError(f"{name}: ticks must be int32[n, 3], C-contiguous, not {ticks.dtype}{list(ticks.shape)}")
@@ -275,12 +268,7 @@ class PointCloud:
     @property
     def in_overlap(self) -> np.ndarray | None:
         """bool[n]: points that the producer has marked as overlap of flight lines, by the flag or by class 12, which stood for
-        it before LAS 1.4; None if the cloud has neither flag nor class.
-
-        >>> made = jf.PointCloud.from_arrays(np.zeros((2, 3)), classification=np.array([2, 12]))
-        >>> made.in_overlap.tolist(), made.candidate.tolist(), made.select(ignore_overlap=True).candidate.tolist()
-        ([False, True], [True, True], [True, False])
-        """
+        it before LAS 1.4; None if the cloud has neither flag nor class."""
         marks = [] if self.overlap is None else [self.overlap]
         marks += [] if self.classification is None else [self.classification == OVERLAP_CLASS]
         return np.logical_or.reduce(marks) if marks else None

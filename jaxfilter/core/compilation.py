@@ -21,8 +21,10 @@ from .errors import warn
 
 T = TypeVar("T")
 R = TypeVar("R")
-_BACKEND_COMPILE = "/jax/core/compile/backend_compile_duration"
 _compiled: list[float] = []
+"""Seconds of each compilation."""
+_troubles: list[str] = []
+"""What was said of caches in this process: one line, whatever goes wrong with them."""
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
@@ -60,8 +62,7 @@ def on_processor() -> contextlib.AbstractContextManager[Any]:
 
 def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iterator[tuple[T, R]]:
     """Jobs with what the function makes of them, in their order; so many are worked on at once, in threads, as they are read."""
-    pool = ThreadPoolExecutor(at_once)
-    run = on_same_device(function)
+    pool, run = ThreadPoolExecutor(at_once), on_same_device(function)
     try:
         running = collections.deque(pool.submit(run, job) for job in jobs[:at_once])
         for k, job in enumerate(jobs):
@@ -73,24 +74,20 @@ def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iter
         pool.shutdown(cancel_futures=True)
 
 
-def _listen(event: str, duration_secs: float, **_: str | int) -> None:
-    if event == _BACKEND_COMPILE:
-        _compiled.append(duration_secs)
-
-
 @functools.cache
 def watch_compilations() -> None:
     """Start counting; idempotent."""
-    jax.monitoring.register_event_duration_secs_listener(_listen)
+
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            _compiled.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
 
 
 def compilations() -> tuple[int, float]:
     """Number of backend compilations (or cache reads) since :func:`watch_compilations`, and seconds spent on them."""
     return len(_compiled), sum(_compiled)
-
-
-_troubles: list[str] = []
-"""What was said of caches in this process: one line, whatever goes wrong with them."""
 
 
 def cache_trouble(folder: Path, reason: Exception | str) -> None:
@@ -154,8 +151,7 @@ def read_kept(path: Path, stamp: bytes) -> bytes | None:
 
 
 def write_kept(path: Path, stamp: bytes, content: bytes) -> None:
-    """Write a file that appears whole: the SHA-256 of what follows, the stamp, and the content. Warns: as
-    :func:`cache_trouble`."""
+    """Write a file that appears whole: the SHA-256 of what follows, the stamp, and the content. Warns: as there."""
     part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
         part.write_bytes(sha256(stamp + content).digest() + stamp + content)

@@ -87,10 +87,8 @@ class Coordinates:
         return origin, valid
 
     def _near(self, low: np.ndarray, high: np.ndarray, factor: np.ndarray, name: str, drop: bool) -> np.ndarray | None:
-        """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
-
-        Medians are taken only of clouds that are too large. Raises: InputError unless points may be dropped (``drop``).
-        """
+        """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it. Medians
+        are taken only of clouds that are too large. Raises: InputError unless points may be dropped (``drop``)."""
         with np.errstate(over="ignore", invalid="ignore"):
             spans = (high - low) * factor
         near = None
@@ -169,10 +167,8 @@ def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
 
 
 def perturbed(xy: np.ndarray) -> np.ndarray:
-    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position.
-
-    Of the moved positions no two are equally near to a third one, so that the nearest is one and the same in any order.
-    """
+    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position. Of the moved
+    positions no two are equally near to a third one, so that the nearest is one and the same in any order."""
     lattice = np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int64).view(np.uint64)
     h = lattice[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ lattice[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
     out = np.empty((len(xy), 2))

@@ -64,21 +64,17 @@ def static(
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
-    """Declare a static field (fixes shapes or picks a code path); see :func:`param`.
-
-    ``optional`` fields may be None ("off"), ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell``
-    at most; a switch, whose default is True or False, may be either.
-    """
+    """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; a switch, whose default is True
+    or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
     more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
 
 
 class Preset(dict[str, Any]):
-    """Field values of a named set, and ``note``: one line that says what the set is.
-
-    The note of "paper" begins with "as printed", or "as reported" where the original was not at hand, and names what is not.
-    """
+    """Field values of a named set, and ``note``: one line that says what the set is. The note of "paper" begins with "as
+    printed", or "as reported" where the original was not at hand, and names what is not."""
 
     def __init__(self, note: str, /, **fields: Any) -> None:
         super().__init__(fields)

@@ -69,13 +69,7 @@ QUANTITIES = ("height", "slope", "angle", "elevation", "margin")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Call:
-    """What a result is the result of.
-
-    Attributes:
-        filter: the filter that was called.
-        cloud: the PointCloud that it was called with.
-        seconds: wall time of the call.
-    """
+    """What a result is the result of: the filter, the PointCloud that it was called with, and the wall time of the call."""
 
     filter: Any
     cloud: Any

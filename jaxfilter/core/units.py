@@ -35,10 +35,8 @@ _TAIL = 0.01  # share of points that does not count at each end of it
 
 @dataclasses.dataclass(frozen=True)
 class Units:
-    """Metres per coordinate unit: ``xy`` for X and Y, ``z`` for Z; ``name`` says where that came from.
-
-    Raises: InputError if one is outside of :data:`METRES_PER_UNIT`.
-    """
+    """Metres per coordinate unit: ``xy`` for X and Y, ``z`` for Z; ``name`` says where that came from. Raises: InputError if
+    one is outside of :data:`METRES_PER_UNIT`."""
 
     xy: float = 1.0
     z: float = 1.0
@@ -101,14 +99,8 @@ def parse_crs(value: Any) -> pyproj.CRS | None:
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """What a file says of its coordinates.
-
-    Attributes:
-        crs: the CRS, or None.
-        units: None where nothing states them, or where there is a ``problem``.
-        problem: why distances cannot be measured, or None.
-        shown: the unit in words, where there is a ``problem``.
-    """
+    """What a file says of its coordinates. ``problem``: why distances cannot be measured, then ``units`` are None and
+    ``shown`` is the unit in words. ``units`` are also None where nothing states them."""
 
     crs: pyproj.CRS | None = None
     units: Units | None = None
@@ -162,18 +154,11 @@ def check_lengths(name: object, xyz: np.ndarray, count: int, stated: bool, stric
 
 
 def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
-    """Why coordinates cannot be the lengths that they are taken for, or None.
-
-    Two rules: X and Y extend over less than half a unit each, and Z over more than either; or X and Y are possible as
-    longitude and latitude, and there are more than 10^8 points per square unit. Extents leave out one per cent of the
-    points at each end, so that stray points do not hide degrees.
-
-    Args:
-        xyz: finite f64[k, 3], file units; some points out of all, see :func:`sampled`.
-        count: number of all points.
-        stated: the CRS states the unit, or the points are only those within given bounds; then the first rule
-            holds for longitudes and latitudes only.
-    """
+    """Why coordinates cannot be the lengths that they are taken for, or None: X and Y extend over less than half a unit each,
+    and Z over more than either; or X and Y are possible as longitude and latitude, and there are more than 10^8 points per
+    square unit. Of stray points one per cent at each end is left out. ``xyz``: finite f64[k, 3], file units, some of
+    ``count`` points, see :func:`sampled`. ``stated``: the CRS states the unit, or the points are only those within given
+    bounds; then the first rule holds for longitudes and latitudes only."""
     sample = np.sort(xyz, axis=0)
     cut = int(_TAIL * len(sample))
     if len(sample) < 2:
