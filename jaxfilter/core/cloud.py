@@ -254,7 +254,7 @@ class PointCloud:
 
     def _candidates(self, reading: Reading, name: str) -> np.ndarray:
         """bool[n]: the points that are judged."""
-        candidate = echo_mask(self.return_number, self.number_of_returns, reading.echoes, len(self), name)
+        candidate = echo_mask(self.return_number, self.number_of_returns, reading.returns, len(self), name)
         if self.valid is not None:
             candidate &= self.valid
         if self.classification is not None and reading.ignore_classes:
@@ -274,28 +274,13 @@ class PointCloud:
         return np.logical_or.reduce(marks) if marks else None
 
     def coordinates(self) -> np.ndarray:
-        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file).
-
-        >>> bool(np.allclose(cloud.coordinates(), scene.xyz, atol=0.001))
-        True
-        """
+        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file)."""
         return self.origin + self.xyz.astype(np.float64) / self.units.factor
 
     def grid_offset(self, cell: float) -> tuple[float, float]:
         """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor."""
         lag = (self.origin[:2] - self.anchor) * self.units.xy
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
-
-
-def overlap_counts(cloud: PointCloud, ground: np.ndarray) -> dict[str, int]:
-    """How many points of a cloud are in the overlap of flight lines (``points``), and how many of these are candidates
-    (``judged``) and ``ground``, bool[n]."""
-    marked = np.zeros(len(cloud), bool) if cloud.in_overlap is None else cloud.in_overlap
-    return {
-        "points": int(marked.sum()),
-        "judged": int((marked & cloud.candidate).sum()),
-        "ground": int((marked & ground).sum()),
-    }
 
 
 def as_cloud(points: Any) -> PointCloud:

@@ -143,11 +143,7 @@ class Filter:
         return {}
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed.
-
-        >>> jf.SMRF().replace(slope=0.3).slope
-        0.3
-        """
+        """A copy with some fields changed. Raises ParameterError."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def points_of(self, cloud: PointCloud) -> Points:
@@ -196,9 +192,6 @@ class Filter:
 
         Returns: FilterResult of length n, in input order.
         Raises: ParameterError, InputError, ForkError.
-
-        >>> jf.SMRF(slope=0.2)(cloud, workers=1).status.message
-        'finished'
         """
         one = self.replace()  # checked, and with plain numbers, which trees may hold as arrays
         one._need_values(cloud)
@@ -366,9 +359,9 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         values = getattr(labels, name)
         facts[name] = None if values is None else points.spread(values, np.nan if name == "doubt" else False)
     facts |= {name: spread(getattr(labels, name), False, bool) for name in ("ground", "barred")}
-    decision = (
-        np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE) if labels.decision is None else labels.decision
-    )
+    decision = labels.decision
+    if decision is None:
+        decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE)
     facts["decision"] = spread(decision, Decision.SET_ASIDE, np.uint8)
     facts["trace"] = [
         {name: spread(v, False, bool) if name == "ground" else v for name, v in step.items()} for step in labels.trace

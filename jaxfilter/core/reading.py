@@ -107,11 +107,6 @@ class Reading:
         names = (field.name for field in dataclasses.fields(self))
         return {name: getattr(self, name) for name in names if name not in ("bounds", "aoi", "drop_duplicates")}
 
-    @property
-    def echoes(self) -> frozenset[str]:
-        """The kinds of echoes that are judged, ``{"all"}`` for all."""
-        return frozenset(self.returns.split(","))
-
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
     """bool[n]: which f64[n, >=2] lie in the half-open ``bounds``."""

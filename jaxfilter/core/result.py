@@ -172,15 +172,13 @@ class FilterResult:
         """
         import xarray
 
-        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        variables: dict[str, Any] = {
-            name: ("point", values, {"units": _UNITS[name]} if name in _UNITS else {})
-            for name, values in arrays.items()
-            if isinstance(values, np.ndarray)
-        }
-        decisions = {"flag_values": [int(one) for one in Decision], "flag_meanings": " ".join(d.name for d in Decision)}
-        variables["decision"] = ("point", self.decision, decisions)
-        out = xarray.Dataset(variables, attrs={"status": self.status.name})
+        facts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        arrays = {name: ("point", values) for name, values in facts.items() if isinstance(values, np.ndarray)}
+        out = xarray.Dataset(arrays, attrs={"status": self.status.name})
+        for name, unit in {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}.items():
+            out[name].attrs["units"] = unit
+        names = " ".join(one.name for one in Decision)
+        out["decision"].attrs = {"flag_values": [int(one) for one in Decision], "flag_meanings": names}
         if self.run is None:
             return out
         cloud, filter_ = self.run.cloud, self.run.filter
@@ -218,9 +216,6 @@ def _coordinates(cloud: Any) -> np.ndarray:
     return xyz if cloud.valid is None else np.where(cloud.valid[:, None], xyz, np.nan)
 
 
-_UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}
-
-
 @runtime_checkable
 class GroundFilter(Protocol):
     """A ground filter: call it on a cloud; ask how far its decisions reach.
@@ -235,4 +230,3 @@ class GroundFilter(Protocol):
 
     def halo(self) -> float:
         """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside."""
-        ...

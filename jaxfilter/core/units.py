@@ -43,12 +43,11 @@ class Units:
     name: str = "metre"
 
     def __post_init__(self) -> None:
+        low, high = METRES_PER_UNIT
         for axis, metres in (("xy", self.xy), ("z", self.z)):
-            if not _believed(metres):
-                low, high = METRES_PER_UNIT
-                raise InputError(
-                    f"units: {axis} = {metres!r} metres per unit ({self.name}): must be {low:g} to {high:g}"
-                )
+            if not low <= metres <= high:
+                wrong = f"units: {axis} = {metres!r} metres per unit ({self.name})"
+                raise InputError(f"{wrong}: must be {low:g} to {high:g}")
 
     @property
     def factor(self) -> np.ndarray:
@@ -59,10 +58,6 @@ class Units:
         if self.xy == self.z:
             return self.name
         return f"{self.name} (xy x {self.xy:.10g}, z x {self.z:.10g} m)"
-
-
-def _believed(metres: float) -> bool:
-    return METRES_PER_UNIT[0] <= metres <= METRES_PER_UNIT[1]
 
 
 UNITS = {
@@ -235,7 +230,7 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
     xy = _unit_of(crs)
     z = _unit_of(crs, 2) if len(crs.axis_info) > 2 else xy
     for factor, unit in dict.fromkeys((xy, z)):
-        if not _believed(factor):
+        if not METRES_PER_UNIT[0] <= factor <= METRES_PER_UNIT[1]:
             problem = (
                 f"its CRS ({crs.name}) has {factor:g} metres in a unit named {unit!r}, which cannot be; correct it"
             )
