@@ -14,7 +14,6 @@ import pytest
 import scipy.stats
 
 import jaxfilter as jf
-from jaxfilter.core.markup import sheet
 from jaxfilter.sweeps.comparison import Comparison, holm
 from jaxfilter.sweeps.tables import latex, markdown
 from jaxfilter.terrain.accuracy import FIGURES
@@ -200,18 +199,6 @@ def test_results_become_tables_with_coordinates_and_units(town):
     assert "run" not in repr(result)
     alone = dataclasses.replace(result, run=None)
     assert "x" not in alone.to_xarray().coords and len(alone.to_pandas()) == len(cloud)
-
-
-def test_what_notebooks_show_is_escaped_and_complete(town):
-    assert "&lt;b&gt;" in sheet("<t>", [("a", "<b>")]) and "&lt;t&gt;" in sheet("<t>", [])
-    cloud = dataclasses.replace(town.cloud, classification=town.classes, reference=town.truth)
-    shown = cloud._repr_html_()
-    assert f"{len(cloud):,}" in shown and f"2: {int((town.classes == 2).sum()):,}" in shown
-    result = jf.SMRF(threshold=0.4)(cloud)
-    assert f"{int(result.ground.sum()):,}" in result._repr_html_() and "threshold=0.4" in result._repr_html_()
-    assert "0.4 (default 0.5)" in result.run.filter._repr_html_()
-    assert "ground is at most this far from level terrain" in jf.SMRF()._repr_html_()
-    assert "<table" in jf.PointCloud.from_arrays(np.zeros((0, 3)))._repr_html_()
 
 
 def test_too_few_clouds_for_any_significance_are_said():

@@ -15,7 +15,7 @@ import pytest
 import jaxfilter as jf
 
 SLOW = {
-    "AGPTD", "ATIN", "Batch", "Batch.confusion", "Batch.ground", "Batch.soft", "Calibration", "Filter.classify", "IPTD",
+    "AGPTD", "ATIN", "Batch", "Batch.confusion", "Batch.ground", "Batch.soft", "Calibration", "IPTD",
     "GridFilter", "GridFilter.prepare", "PPDF", "Rule.verdict", "STIN", "bilinear", "breaklines", "fill_membrane",
     "soft_labels",
 }  # fmt: skip

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
-from jaxfilter.core.compilation import on_processor, on_same_device
+from jaxfilter.core.compilation import in_turn, on_processor
 from jaxfilter.core.filter import ground_each, watched
 from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
@@ -247,11 +246,9 @@ def test_threads_keep_the_device_of_their_caller():
     def used(_):
         return jax.config.values["jax_default_device"]
 
-    with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(on_same_device(used), 0).result() is None
-        with jax.default_device(device):
-            assert pool.submit(used, 0).result() is None, "threads do not inherit it"
-            assert pool.submit(on_same_device(used), 0).result() == device
+    assert list(in_turn(used, [0], 1)) == [(0, None)]
+    with jax.default_device(device):
+        assert list(in_turn(used, [0, 1], 1)) == [(0, device), (1, device)]
 
 
 def test_kernels_of_the_triangulation_run_on_the_processor_unless_a_device_was_chosen(hills, monkeypatch):

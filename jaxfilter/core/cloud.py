@@ -12,10 +12,9 @@ import numpy as np
 from .echoes import echo_mask, numbering, renumbered
 from .errors import InputError, warn
 from .frame import QUANTUM as QUANTUM
-from .frame import Coordinates, check_scales, ends
+from .frame import Coordinates, check_scales
 from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
-from .markup import sheet
 from .reading import KEPT_CLASSES as KEPT_CLASSES
 from .reading import Reading
 from .units import UNITS, Units, parse_crs
@@ -99,20 +98,6 @@ class PointCloud:
     def __repr__(self) -> str:
         return f"PointCloud({len(self)} points, {int(self.candidate.sum())} candidates, origin {self.origin.tolist()})"
 
-    def _repr_html_(self) -> str:
-        rows: list[tuple[str, Any]] = [("points", len(self)), ("candidates", int(self.candidate.sum()))]
-        if len(self):
-            xyz = self.xyz if self.valid is None or not self.valid.any() else self.xyz[self.valid]
-            low, high = dataclasses.replace(self, xyz=np.stack(ends(xyz))).coordinates()
-            rows += [(axis, f"{a:.2f} to {b:.2f}") for axis, a, b in zip("xyz", low, high, strict=True)]
-        rows += [("units", str(self.units)), ("CRS", "unknown" if self.crs is None else self.crs.name)]
-        if self.classification is not None:
-            counts = np.bincount(self.classification)
-            rows += [("classes", ", ".join(f"{c}: {int(counts[c]):,}" for c in np.flatnonzero(counts)))]
-        if self.reference is not None:
-            rows += [("reference ground", int(self.reference.sum()))]
-        return sheet("PointCloud", rows)
-
     @classmethod
     def from_arrays(
         cls,
@@ -150,11 +135,8 @@ class PointCloud:
         given = numbers(xyz, f"{name}: coordinates")
         if given.ndim != 2 or given.shape[1] != 3:
             raise InputError(f"{name}: coordinates must have shape (n, 3), not {given.shape}")
-        xyz = given.astype(np.float64, copy=False)
-        if isinstance(xyz, np.ma.MaskedArray):
-            xyz = xyz.filled(np.nan)
-        finite = np.isfinite(xyz).all(axis=1)
-        valid = None
+        xyz = np.ma.filled(given.astype(np.float64, copy=False), np.nan)
+        finite, valid = np.isfinite(xyz).all(axis=1), None
         if not finite.all():
             bad = int(len(xyz) - finite.sum())
             odd = "NaN, infinite or masked" if np.ma.is_masked(given) else "NaN or infinite"
@@ -166,8 +148,7 @@ class PointCloud:
             warn(f"{name}: {bad} points with {odd} coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
-        local = np.empty(xyz.shape, np.float32)
-        places = Coordinates(xyz, local, kind=given.dtype)
+        places = Coordinates(xyz, np.empty(xyz.shape, np.float32), kind=given.dtype)
         return cls._assembled(places, valid, reading, name, attributes)
 
     @classmethod
@@ -181,17 +162,10 @@ class PointCloud:
         name: str = "xyz",
         **columns: Any,
     ) -> PointCloud:
-        """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
-
-        ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. ``columns`` are the attributes of
-        :meth:`from_arrays`. Raises: InputError likewise.
-
-        >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
-        >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))
-        >>> made.coordinates().tolist()
-        [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
-        """
+        """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates. ``ticks``,
+        i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales`` (see
+        :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. ``columns`` are the attributes of
+        :meth:`from_arrays`. Raises: InputError likewise."""
         check_scales(scales, offsets, name)
         if ticks.dtype != np.int32 or ticks.shape[1:] != (3,) or not ticks.flags.c_contiguous:
             raise InputError(f"{name}: ticks must be int32[n, 3], C-contiguous, not {ticks.dtype}{list(ticks.shape)}")
@@ -268,17 +242,8 @@ class PointCloud:
         ignore_overlap: bool = False,
         keep_withheld: bool = False,
     ) -> PointCloud:
-        """A cloud whose candidates are chosen anew; the arrays are shared.
-
-        Args:
-            returns: comma-separated list out of ``first``, ``intermediate``, ``last``, ``only``, or ``all``. The default
-                takes single echoes and the last of several.
-            ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
-                default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
-            ignore_overlap: set points of the overlap of flight lines aside as well, see :attr:`in_overlap`.
-            keep_withheld: take points that carry the withheld flag as well.
-
-        Raises: InputError for returns and classes that there are not.
+        """A cloud whose candidates are chosen anew, by fields of :class:`jaxfilter.Reading`; the arrays are shared. Raises:
+        InputError for returns and classes that there are not.
 
         >>> everything = cloud.select(returns="all", ignore_classes=())
         >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
@@ -289,7 +254,7 @@ class PointCloud:
 
     def _candidates(self, reading: Reading, name: str) -> np.ndarray:
         """bool[n]: the points that are judged."""
-        candidate = echo_mask(self.return_number, self.number_of_returns, reading.echoes, len(self), name)
+        candidate = echo_mask(self.return_number, self.number_of_returns, reading.returns, len(self), name)
         if self.valid is not None:
             candidate &= self.valid
         if self.classification is not None and reading.ignore_classes:
@@ -303,45 +268,19 @@ class PointCloud:
     @property
     def in_overlap(self) -> np.ndarray | None:
         """bool[n]: points that the producer has marked as overlap of flight lines, by the flag or by class 12, which stood for
-        it before LAS 1.4; None if the cloud has neither flag nor class.
-
-        >>> made = jf.PointCloud.from_arrays(np.zeros((2, 3)), classification=np.array([2, 12]))
-        >>> made.in_overlap.tolist(), made.candidate.tolist(), made.select(ignore_overlap=True).candidate.tolist()
-        ([False, True], [True, True], [True, False])
-        """
+        it before LAS 1.4; None if the cloud has neither flag nor class."""
         marks = [] if self.overlap is None else [self.overlap]
         marks += [] if self.classification is None else [self.classification == OVERLAP_CLASS]
         return np.logical_or.reduce(marks) if marks else None
 
     def coordinates(self) -> np.ndarray:
-        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file).
-
-        >>> bool(np.allclose(cloud.coordinates(), scene.xyz, atol=0.001))
-        True
-        """
-        factor = np.array([self.units.xy, self.units.xy, self.units.z])
-        return self.origin + self.xyz.astype(np.float64) / factor
+        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file)."""
+        return self.origin + self.xyz.astype(np.float64) / self.units.factor
 
     def grid_offset(self, cell: float) -> tuple[float, float]:
-        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor.
-
-        >>> made = jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]))
-        >>> made.grid_offset(10.0)
-        (-2.0, -7.0)
-        """
+        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor."""
         lag = (self.origin[:2] - self.anchor) * self.units.xy
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
-
-
-def overlap_counts(cloud: PointCloud, ground: np.ndarray) -> dict[str, int]:
-    """How many points of a cloud are in the overlap of flight lines (``points``), and how many of these are candidates
-    (``judged``) and ``ground``, bool[n]."""
-    marked = np.zeros(len(cloud), bool) if cloud.in_overlap is None else cloud.in_overlap
-    return {
-        "points": int(marked.sum()),
-        "judged": int((marked & cloud.candidate).sum()),
-        "ground": int((marked & ground).sum()),
-    }
 
 
 def as_cloud(points: Any) -> PointCloud:

@@ -7,10 +7,8 @@ import contextlib
 import functools
 import os
 import stat
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,8 +19,10 @@ from .errors import warn
 
 T = TypeVar("T")
 R = TypeVar("R")
-_BACKEND_COMPILE = "/jax/core/compile/backend_compile_duration"
 _compiled: list[float] = []
+"""Seconds of each compilation."""
+_troubles: list[str] = []
+"""What was said of caches in this process: one line, whatever goes wrong with them."""
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
@@ -31,19 +31,6 @@ def bucket(n: int, smallest: int = 1024) -> int:
     while size < n:
         size *= 2
     return size
-
-
-def on_same_device(function: Callable[[T], R]) -> Callable[[T], R]:
-    """The function for another thread, with the default device that the caller has set for its own (it is not inherited)."""
-    device = jax.config.jax_default_device  # type: ignore[attr-defined]
-    if device is None:
-        return function
-
-    def call(argument: T) -> R:
-        with jax.default_device(device):
-            return function(argument)
-
-    return call
 
 
 def on_processor() -> contextlib.AbstractContextManager[Any]:
@@ -59,9 +46,14 @@ def on_processor() -> contextlib.AbstractContextManager[Any]:
 
 
 def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iterator[tuple[T, R]]:
-    """Jobs with what the function makes of them, in their order; so many are worked on at once, in threads, as they are read."""
-    pool = ThreadPoolExecutor(at_once)
-    run = on_same_device(function)
+    """Jobs with what the function makes of them, in their order; so many are worked on at once, in threads, as they are read.
+    Threads have the default device of the caller, which they do not inherit."""
+    pool, device = ThreadPoolExecutor(at_once), jax.config.jax_default_device  # type: ignore[attr-defined]
+
+    def run(job: T) -> R:
+        with contextlib.nullcontext() if device is None else jax.default_device(device):
+            return function(job)
+
     try:
         running = collections.deque(pool.submit(run, job) for job in jobs[:at_once])
         for k, job in enumerate(jobs):
@@ -73,24 +65,20 @@ def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iter
         pool.shutdown(cancel_futures=True)
 
 
-def _listen(event: str, duration_secs: float, **_: str | int) -> None:
-    if event == _BACKEND_COMPILE:
-        _compiled.append(duration_secs)
-
-
 @functools.cache
 def watch_compilations() -> None:
     """Start counting; idempotent."""
-    jax.monitoring.register_event_duration_secs_listener(_listen)
+
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            _compiled.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
 
 
 def compilations() -> tuple[int, float]:
     """Number of backend compilations (or cache reads) since :func:`watch_compilations`, and seconds spent on them."""
     return len(_compiled), sum(_compiled)
-
-
-_troubles: list[str] = []
-"""What was said of caches in this process: one line, whatever goes wrong with them."""
 
 
 def cache_trouble(folder: Path, reason: Exception | str) -> None:
@@ -137,33 +125,6 @@ def cache_folder(kind: str) -> Path | None:
 
     given = os.environ.get("JAXFILTER_CACHE") or platformdirs.user_cache_dir("jaxfilter")
     return None if given.lower() == "off" else private_folder(Path(given) / kind)
-
-
-def read_kept(path: Path, stamp: bytes) -> bytes | None:
-    """What :func:`write_kept` has written, if it is whole and was made with this stamp. Warns: as :func:`cache_trouble`."""
-    try:
-        content = path.read_bytes()
-        if sha256(content[32:]).digest() != content[:32]:
-            raise ValueError("the file is damaged")
-        return content[64:] if content[32:64] == stamp else None
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        cache_trouble(path.parent, error)
-        return None
-
-
-def write_kept(path: Path, stamp: bytes, content: bytes) -> None:
-    """Write a file that appears whole: the SHA-256 of what follows, the stamp, and the content. Warns: as
-    :func:`cache_trouble`."""
-    part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
-    try:
-        part.write_bytes(sha256(stamp + content).digest() + stamp + content)
-        part.replace(path)
-    except OSError as error:
-        cache_trouble(path.parent, error)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def keep_compilations() -> None:

@@ -99,10 +99,9 @@ def renumbered(columns: Mapping[str, Any], how: Numbering, name: str) -> np.ndar
     return None
 
 
-def echo_mask(
-    number: np.ndarray | None, total: np.ndarray | None, wanted: frozenset[str], n: int, name: str
-) -> np.ndarray:
-    """bool[n]: which points are among the wanted echoes. Damaged echo numbers are treated as last, with a warning."""
+def echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str) -> np.ndarray:
+    """bool[n]: which points are among these echoes. Damaged echo numbers are treated as last, with a warning."""
+    wanted = returns.split(",")
     if "all" in wanted or number is None or total is None or n == 0:
         return np.ones(n, bool)
     odd = (number == 0) | (total == 0) | (number > total)

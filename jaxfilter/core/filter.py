@@ -15,9 +15,8 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn, keep_compilations
 from .errors import InputError, ParameterError, check_whole, warn
-from .markup import table
 from .params import Preset, check_fields, declared, is_number
-from .points import Points, canonical_points, check_extent, plain_points
+from .points import Points, canonical_points, check_extent, has_area, plain_points
 from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
 from .water import WaterCells
@@ -28,12 +27,8 @@ _BYTES = 1000
 
 @dataclasses.dataclass
 class Labels:
-    """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None.
-
-    ``settled``: bool[m], points that are ground before the last thresholds are applied. ``doubt``: f32[m], probability that
-    the label is wrong. ``water``, ``deck``: bool[m], points of water, which are ground, and of decks, which are not.
-    ``water_cells``: where the water is.
-    """
+    """What a method's ``classify`` gives back: as :class:`FilterResult`, per row of ``Points`` (length m); what is absent stays
+    None."""
 
     ground: np.ndarray
     height: np.ndarray | None = None
@@ -139,40 +134,21 @@ class Filter:
     @classmethod
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
         """Field values for distinct candidates and a largest building, metres: those of :meth:`from_spacing`, and what a method
-        tells from the points besides.
-
-        >>> jf.SMRF.from_points(jf.SMRF().points_of(cloud), 30.0)
-        {'window': 15.0, 'cell': 1.0}
-        """
+        tells from the points besides."""
         return cls.from_spacing(points.spacing(), largest_building)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known.
-
-        >>> jf.SMRF.from_spacing(2.4, 30.0)
-        {'window': 15.0, 'cell': 1.5}
-        """
+        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known."""
         return {}
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed.
-
-        >>> jf.SMRF().replace(slope=0.3).slope
-        0.3
-        """
+        """A copy with some fields changed. Raises ParameterError."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def points_of(self, cloud: PointCloud) -> Points:
-        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is
-        beyond measure, ForkError in a forked process without the threads of JAX.
-
-        >>> points = jf.PTD().points_of(cloud)
-        >>> len(points) <= int(cloud.candidate.sum())
-        True
-        >>> points.xyz.dtype, points.xyz.shape[1]
-        (dtype('float32'), 3)
-        """
+        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is beyond measure, ForkError
+        in a forked process without the threads of JAX."""
         need_threads()
         keep_compilations()
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
@@ -180,35 +156,19 @@ class Filter:
         return points
 
     def halo(self) -> float:
-        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside.
-
-        It grows with the largest building, since a tile must see as far as an object is wide.
-
-        >>> jf.PMF(max_window=33.0).halo() > 33.0
-        True
-        """
+        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside. It grows with
+        the largest building: a tile must see as far as an object is wide."""
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
     def lattice(self) -> float:
-        """Period, metres, of all squares of the method that count from the anchor: tiles that end at multiples of it cut none of
-        them, and points that are shifted by multiples of it have the labels that they had (docs/conventions.md says where not).
-
-        >>> jf.SMRF(cell=2.0).lattice()
-        2.0
-        """
+        """Period, metres, of all squares of the method that count from the anchor: tiles that end at multiples of it cut none
+        of them, and points that are shifted by multiples of it have the labels that they had (docs/conventions.md says where
+        not)."""
         return 1.0
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
-        """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
-
-        There are at least four positions, not on a line, and not all of one elevation.
-
-        >>> points = jf.SMRF().points_of(cloud)
-        >>> quiet = lambda share, step: None
-        >>> labels = jf.SMRF().classify(points, key=None, workers=1, progress=quiet, trace=False)
-        >>> bool((points.spread(labels.ground) == jf.SMRF()(cloud).ground).all())
-        True
-        """
+        """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``. There are at least
+        four positions, not on a line, and not all of one elevation."""
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
     def __call__(
@@ -232,9 +192,6 @@ class Filter:
 
         Returns: FilterResult of length n, in input order.
         Raises: ParameterError, InputError, ForkError.
-
-        >>> jf.SMRF(slope=0.2)(cloud, workers=1).status.message
-        'finished'
         """
         one = self.replace()  # checked, and with plain numbers, which trees may hold as arrays
         one._need_values(cloud)
@@ -261,17 +218,6 @@ class Filter:
             if isinstance(getattr(self, field.name), jax.core.Tracer):
                 raise ParameterError(f"{name}({field.name}=...)(cloud): the field is traced; {advice}")
 
-    def _repr_html_(self) -> str:
-        rows = []
-        for field in declared(self):
-            value, meta = getattr(self, field.name), field.metadata
-            default = "" if value == field.default else f" (default {field.default})"
-            rows.append(
-                (field.name, f"{value}{default}", meta.get("symbol") or "", meta.get("unit") or "", meta["doc"])
-            )
-        heading = ("parameter", "value", "symbol", "unit", "meaning")
-        return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
-
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _Filter = TypeVar("_Filter", bound=Filter)
@@ -279,13 +225,7 @@ _Filter = TypeVar("_Filter", bound=Filter)
 
 def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
     """A copy of a filter, and the names of what has been read of it so far: what a step makes of the copy, it makes of every set
-    that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it.
-
-    >>> from jaxfilter.core.filter import watched
-    >>> one, read = watched(jf.SMRF(window=12.0))
-    >>> one.reach, sorted(read)
-    (12, ['cell', 'reach', 'window'])
-    """
+    that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it."""
     one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
     made_before = own.keys() - names - {"_read"}  # of fields that nobody has watched
     read = names if made_before else set[str]()
@@ -299,19 +239,8 @@ def _own(filter_: Filter) -> dict[str, Any]:
 
 
 def stage(method: _Method) -> _Method:
-    """A method of a filter, called with points, whose result is kept where points keep such results, those of a sweep.
-
-    Sets that agree in all fields that it reads share the result, and must not change it, until a set with other values asks for
-    its own.
-
-    >>> from jaxfilter.core.filter import stage
-    >>> steep = stage(lambda filter_, points: [filter_.slope])
-    >>> points = dataclasses.replace(jf.SMRF().points_of(cloud), kept={})
-    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(threshold=0.3), points)
-    True
-    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(slope=0.3), points)
-    False
-    """
+    """A method of a filter, called with points, whose result is kept where points keep such results, those of a sweep. Sets that
+    agree in all fields that it reads share the result, and must not change it, until a set with other values asks for its own."""
 
     @functools.wraps(method)
     def call(self: Filter, points: Points, *args: Any) -> Any:
@@ -330,41 +259,21 @@ def stage(method: _Method) -> _Method:
 
 @functools.singledispatch
 def passed(filter_: Filter, labels: Labels | FilterResult) -> np.ndarray:
-    """bool[m], ground by the thresholds in ``filter_.LAST``; ``labels`` are those of a set that may differ in these.
-
-    Of a FilterResult: bool[n]. Methods that have such thresholds register how they apply them.
-
-    >>> from jaxfilter.core.filter import passed
-    >>> jf.CSF.LAST
-    ('threshold',)
-    >>> other = jf.CSF(threshold=0.3)
-    >>> bool((passed(other, jf.CSF(threshold=0.5)(cloud)) == other(cloud).ground).all())
-    True
-    """
+    """bool[m], of a FilterResult bool[n]: ground by the thresholds in ``filter_.LAST``; ``labels`` are those of a set that may
+    differ in these. Methods that have such thresholds register how they apply them."""
     raise TypeError(f"{type(filter_).__name__} has no thresholds that are applied last")
 
 
 @functools.singledispatch
 def lowest_among(filter_: Filter, points: Points) -> np.ndarray | None:
-    """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does.
-
-    >>> from jaxfilter.core.filter import lowest_among
-    >>> lowest_among(jf.SMRF(), jf.SMRF().points_of(cloud)) is None
-    True
-    """
+    """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does."""
     return None
 
 
 @functools.singledispatch
 def of_scene(filter_: Filter, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
     """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
-
-    ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
-
-    >>> from jaxfilter.core.filter import of_scene
-    >>> of_scene(jf.SMRF(), lambda most: [cloud])
-    {}
-    """
+    ``some`` reads windows of the scene with about so many points together, or all of it where that is less."""
     return {}
 
 
@@ -372,21 +281,11 @@ def of_scene(filter_: Filter, some: Callable[[int], list[PointCloud]]) -> dict[s
 def ground_each(
     filter_: Filter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Classify the same points with several sets of parameters, which differ from the filter's in traced fields only.
-
-    Methods whose sets can share work register a way of their own. Here sets that differ in ``LAST`` only share all but the last
-    step, and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that
-    ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
-
-    Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
-
-    >>> from jaxfilter.core.filter import ground_each
-    >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5)]
-    >>> points = sets[0].points_of(cloud)
-    >>> found = dict(ground_each(sets[0], points, sets, key=None, workers=1, memory=1e9))
-    >>> bool((found[0] <= found[1]).all())
-    True
-    """
+    """Classify the same points, as ``classify`` gets them, with several sets of parameters, which differ from the filter's in
+    traced fields only. Methods whose sets can share work register a way of their own. Here sets that differ in ``LAST`` only
+    share all but the last step, and several are classified at a time, in threads. Each set has the labels of ``classify``.
+    ``memory``: bytes for what is held for many sets. Yields: number of the set, and bool[m], the points that are ground; in
+    any order of the sets."""
     jobs = alike(values_of(sets, but=filter_.LAST))
     points = points if points.kept is not None else dataclasses.replace(points, kept={})
     threads = workers or os.cpu_count() or 1
@@ -437,7 +336,7 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
     z = points.xyz[:, 2]
     three = all(len(np.unique(points.xyz[:few, :2], axis=0)) <= 3 for few in (10, 1000, m))
-    if three or not points.has_area():
+    if three or not has_area(points.xyz):
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
         ground = np.ones(m, bool)
@@ -455,23 +354,17 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
     def spread(values: np.ndarray | None, empty: Any, dtype: Any) -> np.ndarray:
         return np.full(len(cloud), empty, dtype) if values is None else points.spread(values, empty, dtype)
 
+    facts: dict[str, Any] = {name: spread(getattr(labels, name), np.nan, np.float32) for name in QUANTITIES}
+    for name in ("settled", "doubt", "water", "deck"):
+        values = getattr(labels, name)
+        facts[name] = None if values is None else points.spread(values, np.nan if name == "doubt" else False)
+    facts |= {name: spread(getattr(labels, name), False, bool) for name in ("ground", "barred")}
     decision = labels.decision
     if decision is None:
         decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE)
-    trace = [
-        {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
+    facts["decision"] = spread(decision, Decision.SET_ASIDE, np.uint8)
+    facts["trace"] = [
+        {name: spread(v, False, bool) if name == "ground" else v for name, v in step.items()} for step in labels.trace
     ]
-    known: dict[str, Any] = {name: spread(getattr(labels, name), np.nan, np.float32) for name in QUANTITIES}
-    for name in ("settled", "doubt", "water", "deck"):
-        values = getattr(labels, name)
-        known[name] = None if values is None else points.spread(values, np.nan if name == "doubt" else False)
-    return FilterResult(
-        ground=spread(labels.ground, False, bool),
-        decision=spread(decision, Decision.SET_ASIDE, np.uint8),
-        barred=spread(labels.barred, False, bool),
-        status=labels.status,
-        info={"points": len(cloud), "candidates": len(points.index), **labels.info},
-        trace=trace,
-        water_cells=labels.water_cells,
-        **known,
-    )
+    facts["info"] = {"points": len(cloud), "candidates": len(points.index), **labels.info}
+    return FilterResult(status=labels.status, water_cells=labels.water_cells, **facts)

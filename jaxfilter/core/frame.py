@@ -18,14 +18,14 @@ QUANTUM = 2.0**-10
 Below 16 km from the origin such values, and all differences between them, are exact in float32. A power of two never
 lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
 """
+_RESOLVED = QUANTUM * 2.0**53
+"""Below this many metres float64 resolves the quantum."""
 LARGEST_SPAN = (1e7, 1e7, 1e5)
 """Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
 COARSE = 0.005
 """Metres: steps of float32 coordinates above which a warning is given. Half of it is an error of height that does not count."""
 SCALES = (1e-12, 100.0)
 """Scale factors of LAS files that are believed: above the first, up to the second."""
-
-
 _ROWS = 1 << 15  # points that are converted at a time: what is made of them stays in the cache
 
 
@@ -67,15 +67,15 @@ class Coordinates:
         Raises: InputError unless points far off may be dropped (``drop``), and where float64 does not resolve coordinates.
         """
         low, high = self.ends(valid)
-        near = near_points(self, low, high, units, name, drop)
+        near = self._near(low, high, units.factor, name, drop)
         if near is not None:
             valid = near
             low, high = self.ends(valid)
-        check_resolution(low, high, units, name, self.kind)
+        self._check_resolution(low, high, units.factor, name)
         if np.isnan(low).any():
             self.local[:] = 0
             return np.zeros(3), valid
-        factor, base = np.array([units.xy, units.xy, units.z]), np.array([*anchor, 0.0])
+        factor, base = units.factor, np.array([*anchor, 0.0])
         origin = base + np.floor((low - base) * factor) / factor
         for start in range(0, len(self.local), _ROWS):
             rows = slice(start, start + _ROWS)
@@ -85,6 +85,55 @@ class Coordinates:
         if valid is not None:
             self.local[~valid] = 0
         return origin, valid
+
+    def _near(self, low: np.ndarray, high: np.ndarray, factor: np.ndarray, name: str, drop: bool) -> np.ndarray | None:
+        """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it. Medians
+        are taken only of clouds that are too large. Raises: InputError unless points may be dropped (``drop``)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            spans = (high - low) * factor
+        near = None
+        for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
+            limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
+            values = self.column(slice(None), axis)
+            known = values[~np.isnan(values)]
+            median = np.partition(known, len(known) // 2)[len(known) // 2]
+            with np.errstate(over="ignore"):
+                distance = abs(values - median) * factor[axis]
+            if not drop:
+                worst = int(np.nanargmax(distance))
+                place = ", ".join(f"{self.column(slice(worst, worst + 1), i)[0]:.10g}" for i in range(3))
+                raise InputError(
+                    f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
+                    f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
+                    "drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
+                )
+            far = distance > limit / 2
+            warn(
+                f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
+            )
+            near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
+        return near
+
+    def _check_resolution(self, low: np.ndarray, high: np.ndarray, factor: np.ndarray, name: str) -> None:
+        """Raises: InputError for coordinates that float64 holds less exactly than local ones are. Warns: where their own type
+        has steps of more than :data:`COARSE`."""
+        largest = np.fmax(abs(low), abs(high))
+        if self.kind is not None and self.kind.kind == "f" and self.kind.itemsize < 8:
+            steps = np.spacing(largest.astype(self.kind)).astype(np.float64) * factor
+            if (coarse := steps > COARSE).any():
+                axis = int(np.nanargmax(steps))
+                warn(
+                    f"{name}: {', '.join(np.array(list('XYZ'))[coarse])} came as {self.kind}, which at {largest[axis]:.10g} has "
+                    f"steps of {steps[axis]:.3g} m: points lie on a lattice of that size, and labels suffer; give them as "
+                    "float64, from where they were read on"
+                )
+        if (wrong := largest * factor >= _RESOLVED).any():
+            axis = int(np.argmax(wrong))
+            value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
+            raise InputError(
+                f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
+                "scale and offset, or subtract a constant from the coordinates"
+            )
 
 
 def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
@@ -98,74 +147,10 @@ def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
     return np.array([x, y])
 
 
-_RESOLVED = QUANTUM * 2.0**53
-"""Below this many metres float64 resolves the quantum."""
-
-
 def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[k] least and [k] largest of every column of [n, k]. By columns: across rows NumPy takes many times as long."""
     least, largest = (np.array([pick(rows[:, k]) for k in range(rows.shape[1])]) for pick in (np.min, np.max))
     return least, largest
-
-
-def near_points(
-    places: Coordinates, low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
-) -> np.ndarray | None:
-    """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
-
-    Medians are taken only of clouds that are too large. Raises: InputError unless points may be dropped (``drop``).
-    """
-    factor = np.array([units.xy, units.xy, units.z])
-    with np.errstate(over="ignore", invalid="ignore"):
-        spans = (high - low) * factor
-    near = None
-    for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
-        limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
-        values = places.column(slice(None), axis)
-        known = values[~np.isnan(values)]
-        median = np.partition(known, len(known) // 2)[len(known) // 2]
-        with np.errstate(over="ignore"):
-            distance = abs(values - median) * factor[axis]
-        if not drop:
-            worst = int(np.nanargmax(distance))
-            place = ", ".join(f"{places.column(slice(worst, worst + 1), i)[0]:.10g}" for i in range(3))
-            raise InputError(
-                f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
-                f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
-                f"drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
-            )
-        far = distance > limit / 2
-        warn(
-            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
-        )
-        near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
-    return near
-
-
-def check_resolution(
-    low: np.ndarray, high: np.ndarray, units: Units, name: str, kind: np.dtype[Any] | None = None
-) -> None:
-    """Raises: InputError for coordinates that float64 holds less exactly than local ones are. Warns: where their own type
-    ``kind`` has steps of more than :data:`COARSE`."""
-    factor = np.array([units.xy, units.xy, units.z])
-    if kind is not None and kind.kind == "f" and kind.itemsize < 8:
-        ends = np.fmax(abs(low), abs(high))
-        steps = np.spacing(ends.astype(kind)).astype(np.float64) * factor
-        if (coarse := steps > COARSE).any():
-            axis = int(np.nanargmax(steps))
-            warn(
-                f"{name}: {', '.join(np.array(list('XYZ'))[coarse])} came as {kind}, which at {ends[axis]:.10g} has steps of "
-                f"{steps[axis]:.3g} m: points lie on a lattice of that size, and labels suffer; give them as float64, from "
-                "where they were read on"
-            )
-    largest = np.fmax(abs(low), abs(high)) * factor
-    if (largest >= _RESOLVED).any():
-        axis = int(np.argmax(largest >= _RESOLVED))
-        value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
-        raise InputError(
-            f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
-            "scale and offset, or subtract a constant from the coordinates"
-        )
 
 
 def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
@@ -182,10 +167,8 @@ def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
 
 
 def perturbed(xy: np.ndarray) -> np.ndarray:
-    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position.
-
-    Of the moved positions no two are equally near to a third one, so that the nearest is one and the same in any order.
-    """
+    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position. Of the moved
+    positions no two are equally near to a third one, so that the nearest is one and the same in any order."""
     lattice = np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int64).view(np.uint64)
     h = lattice[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ lattice[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
     out = np.empty((len(xy), 2))

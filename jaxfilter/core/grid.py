@@ -42,20 +42,13 @@ class Grid:
 
 
 def most_cells(points: int, limit: int = MAX_CELLS) -> int:
-    """How many cells a grid over so many points may have: 64 for each point, or 4 million, but at most ``limit``.
-
-    More are mostly empty: the cell is too fine, or a stray point far away makes the extent.
-    """
+    """How many cells a grid over so many points may have: 64 for each point, or 4 million, but at most ``limit``. More are
+    mostly empty: the cell is too fine, or a stray point far away makes the extent."""
     return min(limit, max(_PER_POINT * points, _AT_LEAST))
 
 
 def period(*sides: float) -> float:
-    """The least multiple of the largest side that is one of all of them, metres; the first side where none up to ten times is.
-
-    >>> from jaxfilter.core.grid import period
-    >>> period(1.5, 10.0), period(10.0, 0.37)
-    (30.0, 10.0)
-    """
+    """The least multiple of the largest side that is one of all of them, metres; the first side where none up to ten times is."""
     for length in max(sides) * np.arange(1, 11):
         if all(abs(length / side - round(length / side)) < 1e-6 for side in sides):
             return float(length)
@@ -63,10 +56,8 @@ def period(*sides: float) -> float:
 
 
 def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0)) -> Grid:
-    """The smallest grid of ``cell`` metres, aligned to ``offset``, that holds local points [n, >=2], of any size.
-
-    A point on the upper edge of the extent belongs to the last cell.
-    """
+    """The smallest grid of ``cell`` metres, aligned to ``offset``, that holds local points [n, >=2], of any size. A point on
+    the upper edge of the extent belongs to the last cell."""
     low, high = ends(xy[:, :2])
     x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
     nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
@@ -76,10 +67,8 @@ def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0
 def grid_over(
     xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0), name: str = "cell", limit: int = MAX_CELLS
 ) -> Grid:
-    """:func:`lattice_over`, for arrays that hold every cell.
-
-    Raises InputError, before anything is allocated, when more cells than :func:`most_cells` would be needed.
-    """
+    """:func:`lattice_over`, for arrays that hold every cell. Raises InputError, before anything is allocated, when more cells
+    than :func:`most_cells` would be needed."""
     grid = lattice_over(xy, cell, offset)
     if grid.nx * grid.ny > most_cells(len(xy), limit):
         spread = " x ".join(f"{float(np.ptp(xy[:, axis])):.6g}" for axis in range(2))

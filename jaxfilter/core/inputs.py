@@ -10,7 +10,7 @@ import numpy as np
 
 from .echoes import numbering
 from .errors import InputError
-from .units import STATED, Stated, Units, linear_units, not_metric, reference_of, sampled
+from .units import STATED, Stated, Units, check_lengths, linear_units, reference_of, sampled
 
 GROUND_CLASS = 2
 """ASPRS class ground."""
@@ -113,8 +113,7 @@ def laspy_parts(
     scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)
     if asked.units is None:
         some = ticks[sampled(len(ticks))] * scales + offsets
-        if reason := not_metric(some, len(ticks), reference.units is not None):
-            raise InputError(f"{name}: {reason}")
+        check_lengths(name, some, len(ticks), reference.units is not None, strict=True)
     there = set(las.point_format.dimension_names)
     columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
     how = numbering(columns, ticks[:, 2], las["gps_time"] if "gps_time" in there else None)

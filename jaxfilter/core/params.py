@@ -43,14 +43,9 @@ def _field(doc: str, domain: str, default: Any, **more: Any) -> Any:
 
 
 def param(doc: str, domain: str = "", *, default: float) -> Any:
-    """Declare a traced threshold.
-
-    Args:
-        doc: its meaning, one line.
-        domain: the paper's symbol, the limits and the unit, each if there is one, as in ``"s > 0 and <= 90 degrees"``; a word
-            alone is the symbol.
-        default: a keyword, since type checkers see a default in no other place (PEP 681).
-    """
+    """Declare a traced threshold: its meaning in one line, and in ``domain`` the paper's symbol, the limits and the unit, each if
+    there is one, as in ``"s > 0 and <= 90 degrees"``; a word alone is the symbol. ``default`` is a
+    keyword, since type checkers see a default in no other place (PEP 681)."""
     return _field(doc, domain, default, static=False)
 
 
@@ -64,21 +59,17 @@ def static(
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
-    """Declare a static field (fixes shapes or picks a code path); see :func:`param`.
-
-    ``optional`` fields may be None ("off"), ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell``
-    at most; a switch, whose default is True or False, may be either.
-    """
+    """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; a switch, whose default is True
+    or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
     more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
 
 
 class Preset(dict[str, Any]):
-    """Field values of a named set, and ``note``: one line that says what the set is.
-
-    The note of "paper" begins with "as printed", or "as reported" where the original was not at hand, and names what is not.
-    """
+    """Field values of a named set, and ``note``: one line that says what the set is. The note of "paper" begins with "as
+    printed", or "as reported" where the original was not at hand, and names what is not."""
 
     def __init__(self, note: str, /, **fields: Any) -> None:
         super().__init__(fields)
@@ -163,20 +154,20 @@ def check_fields(params: Any) -> None:
                 f"{name}({f.name}=...): a single value is needed, not an array of shape {np.shape(value)}; "
                 "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
             )
-        choices = meta.get("choices")
+        given, choices = f"{name}({f.name}={value!r})", meta.get("choices")
         if choices is not None:
             if value not in choices:
-                raise ParameterError(f"{name}({f.name}={value!r}): choose one of {', '.join(map(repr, choices))}")
+                raise ParameterError(f"{given}: choose one of {', '.join(map(repr, choices))}")
             continue
         if value is None and meta.get("optional"):
             continue
         limits = meta.get("limits", {})
         if not is_number(value):
             if limits or meta.get("static") is False:
-                raise ParameterError(f"{name}({f.name}={value!r}): a number is needed")
+                raise ParameterError(f"{given}: a number is needed")
             continue
         if whole and not isinstance(value, numbers.Integral):
-            raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
+            raise ParameterError(f"{given}: a whole number is needed")
         endless = value in (math.inf, -math.inf)
         beyond = endless and meta.get("static") and not meta.get("endless")
         absurd = value == value and value and not endless and not SIZES[0] <= abs(value) <= SIZES[1]
@@ -184,12 +175,10 @@ def check_fields(params: Any) -> None:
             wanted = "finite and " * bool(beyond) + (meta.get("range") or "a number")
             unit = f" {meta['unit']}" if meta.get("unit") else ""
             unit += f", of a size from {SIZES[0]:g} to {SIZES[1]:g}" if absurd else ""
-            raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
+            raise ParameterError(f"{given}: must be {wanted}{unit}")
         most = meta.get("cells")
         if most is not None and value > most * params.cell:
-            raise ParameterError(
-                f"{name}({f.name}={value!r}): more than {most} cells of {params.cell:g} m; use a larger cell"
-            )
+            raise ParameterError(f"{given}: more than {most} cells of {params.cell:g} m; use a larger cell")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(param, static))

@@ -53,13 +53,7 @@ class Points:
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """[m] for the rows out of [n] for the cloud; of equal points, which are one row, the first in the cloud counts.
-
-        ``values[points.index]`` is that for methods on a grid only: the rows of others are sorted and distinct.
-
-        >>> points = jf.PTD().points_of(cloud)
-        >>> bool((points.gather(cloud.xyz) == points.xyz).all())
-        True
-        """
+        ``values[points.index]`` is that for methods on a grid only: the rows of others are sorted and distinct."""
         values = np.asarray(values)
         if self.plain:
             return values[self.index]
@@ -68,13 +62,7 @@ class Points:
         return values[first]
 
     def spread(self, values: Any, empty: Any = 0, dtype: Any = None) -> np.ndarray:
-        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates.
-
-        >>> points = jf.PTD().points_of(cloud)
-        >>> height = points.spread(points.xyz[:, 2], np.nan)
-        >>> bool((height[cloud.candidate] == cloud.xyz[cloud.candidate, 2]).all())
-        True
-        """
+        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates."""
         values = np.asarray(values)
         dtype = dtype or values.dtype
         if not self.plain:
@@ -99,16 +87,10 @@ class Points:
         """f64[2], metres from the anchor of the cloud to the zero of its local coordinates."""
         return np.asarray((self.cloud.origin[:2] - self.cloud.anchor) * self.cloud.units.xy)
 
-    def has_area(self) -> bool:
-        """As :func:`has_area` of all."""
-        return has_area(self.xyz)
-
     def spacing(self) -> float:
-        """Mean point spacing in metres: square root of occupied area per distinct point.
-
-        The occupied area is counted in cells that hold about eight points each, so that voids do not count. A cloud that
-        is a part of a scene has the spacing of the whole.
-        """
+        """Mean point spacing in metres: square root of occupied area per distinct point. The occupied area is counted in
+        cells that hold about eight points each, so that voids do not count. A cloud that is a part of a scene has the spacing
+        of the whole."""
         whole, m = self.cloud.whole, len(self.xyz)
         if whole is not None and whole.spacing is not None:
             return whole.spacing
@@ -180,9 +162,7 @@ def pieces(n: int) -> Iterator[slice]:
 
 def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
     """Raises: InputError if any of the local points [n, >=2] of the cloud is farther than :data:`EXTENT` from its corner.
-
-    Such an extent comes from stray points. The others would lose their last digits, and grids most of their cells.
-    """
+    Such an extent comes from stray points. The others would lose their last digits, and grids most of their cells."""
     if len(xy) == 0 or not (ends(xy[:, :2])[1] > EXTENT).any():
         return
     every = (cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid])[:, :2].astype(np.float64)
@@ -255,10 +235,8 @@ def _candidates(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray]:
 
 def canonical_points(cloud: PointCloud, keep: bool = False) -> Points:
     """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays.
-
-    Codes count from the anchor, so that clouds with one anchor sort points alike. ``keep``: for the next call with this cloud,
-    which so need not sort them again.
-    """
+    Codes count from the anchor, so that clouds with one anchor sort points alike. ``keep``: for the next call with this
+    cloud, which so need not sort them again."""
     arrays = _SORTED.pop(cloud, None) or _sorted(cloud)
     if keep:
         _SORTED[cloud] = arrays

@@ -17,10 +17,8 @@ _owner: int | None = None
 
 
 def need_threads() -> None:
-    """Called before JAX computes and before LAZ is coded.
-
-    Raises: ForkError in a process that was forked from one in which this had been called.
-    """
+    """Called before JAX computes and before LAZ is coded. Raises: ForkError in a process that was forked from one in which
+    this had been called."""
     global _owner
     if _owner not in (None, os.getpid()):
         raise ForkError(
@@ -38,9 +36,9 @@ def share_heaps() -> None:
 
 
 def collect_seldom() -> None:
-    """Look for garbage in circles of references once in a million new objects, and not at the end. Commands and workers call it:
-    imports and compilation make that many objects, nearly all of which stay, and looking through them takes a third of the time
-    of a small file. Points lie in arrays that no circle holds."""
+    """Look for garbage in circles of references once in a million new objects, and not at the end. Commands and workers call
+    it: imports and compilation make that many objects, nearly all of which stay, and the search takes a third of the time of
+    a small file."""
     gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
 

@@ -94,39 +94,18 @@ class Reading:
 
     @property
     def stated(self) -> Stated:
-        """Units and CRS as far as they are given.
-
-        >>> jf.Reading(units="ft").stated.units.xy, jf.Reading(crs=25832).stated.crs.name
-        (0.3048, 'ETRS89 / UTM zone 32N')
-        """
+        """Units and CRS as far as they are given."""
         return Stated(None if self.units is None else parse_units(self.units), parse_crs(self.crs))
 
     @property
     def metres(self) -> Units:
-        """The units, of the given CRS if there is one, and metres where nothing is given.
-
-        >>> jf.Reading().metres.xy, jf.Reading(units="ft").metres.xy
-        (1.0, 0.3048)
-        """
+        """The units, of the given CRS if there is one, and metres where nothing is given."""
         return self.stated.of(Reference(), "points").units or Units()
 
     def of_points(self) -> dict[str, Any]:
-        """The fields that do not choose points of a file, by name: arguments of ``PointCloud.from_arrays``.
-
-        >>> "bounds" in jf.Reading().of_points()
-        False
-        """
+        """The fields that do not choose points of a file, by name: arguments of ``PointCloud.from_arrays``."""
         names = (field.name for field in dataclasses.fields(self))
         return {name: getattr(self, name) for name in names if name not in ("bounds", "aoi", "drop_duplicates")}
-
-    @property
-    def echoes(self) -> frozenset[str]:
-        """The kinds of echoes that are judged, ``{"all"}`` for all.
-
-        >>> sorted(jf.Reading().echoes)
-        ['last', 'only']
-        """
-        return frozenset(self.returns.split(","))
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:

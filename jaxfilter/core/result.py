@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from .errors import InputError, warn
-from .markup import sheet
 from .water import WaterCells
 
 if TYPE_CHECKING:
@@ -70,13 +69,7 @@ QUANTITIES = ("height", "slope", "angle", "elevation", "margin")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Call:
-    """What a result is the result of.
-
-    Attributes:
-        filter: the filter that was called.
-        cloud: the PointCloud that it was called with.
-        seconds: wall time of the call.
-    """
+    """What a result is the result of: the filter, the PointCloud that it was called with, and the wall time of the call."""
 
     filter: Any
     cloud: Any
@@ -165,15 +158,6 @@ class FilterResult:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
         return f"FilterResult({int(self.ground.sum())} of {len(self)} ground, {share:.1f} %; {self.status.message})"
 
-    def _repr_html_(self) -> str:
-        counts = np.bincount(self.decision, minlength=len(Decision))
-        rows: list[tuple[str, Any]] = [("ground", int(self.ground.sum())), ("points", len(self))]
-        rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
-        rows += [("ended", self.status.message)]
-        if self.run is not None:
-            rows += [("filter", repr(self.run.filter)), ("seconds", f"{self.run.seconds:.2f}")]
-        return sheet("FilterResult", rows)
-
     def to_xarray(self) -> xarray.Dataset:
         """All quantities over the dimension ``point``, with their units, and what the cloud says of the points.
 
@@ -188,15 +172,13 @@ class FilterResult:
         """
         import xarray
 
-        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        variables: dict[str, Any] = {
-            name: ("point", values, {"units": _UNITS[name]} if name in _UNITS else {})
-            for name, values in arrays.items()
-            if isinstance(values, np.ndarray)
-        }
-        decisions = {"flag_values": [int(one) for one in Decision], "flag_meanings": " ".join(d.name for d in Decision)}
-        variables["decision"] = ("point", self.decision, decisions)
-        out = xarray.Dataset(variables, attrs={"status": self.status.name})
+        facts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        arrays = {name: ("point", values) for name, values in facts.items() if isinstance(values, np.ndarray)}
+        out = xarray.Dataset(arrays, attrs={"status": self.status.name})
+        for name, unit in {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}.items():
+            out[name].attrs["units"] = unit
+        names = " ".join(one.name for one in Decision)
+        out["decision"].attrs = {"flag_values": [int(one) for one in Decision], "flag_meanings": names}
         if self.run is None:
             return out
         cloud, filter_ = self.run.cloud, self.run.filter
@@ -234,9 +216,6 @@ def _coordinates(cloud: Any) -> np.ndarray:
     return xyz if cloud.valid is None else np.where(cloud.valid[:, None], xyz, np.nan)
 
 
-_UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}
-
-
 @runtime_checkable
 class GroundFilter(Protocol):
     """A ground filter: call it on a cloud; ask how far its decisions reach.
@@ -250,9 +229,4 @@ class GroundFilter(Protocol):
     ) -> FilterResult: ...
 
     def halo(self) -> float:
-        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside.
-
-        >>> jf.SMRF(window=18.0).halo() >= 18.0
-        True
-        """
-        ...
+        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside."""

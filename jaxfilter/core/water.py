@@ -20,12 +20,6 @@ class WaterCells:
         side: of a cell, metres. at: i32[k, 2], rows and columns, each cell once, in order. The middle of a cell is so many sides
             north and east of the anchor.
         z: f64[k], elevation of the surface, metres.
-
-    >>> cloud.origin[:2].tolist()
-    [512000.0, 5403000.0]
-    >>> cells = jf.core.water.WaterCells.of(cloud, np.array([[np.nan, 1.0]]), (0.5, 0.5), 1.0)
-    >>> cells.at.tolist(), (cells.z - cloud.origin[2]).tolist()
-    ([[5403001, 512002]], [1.0])
     """
 
     side: float

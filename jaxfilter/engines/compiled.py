@@ -7,6 +7,7 @@ import functools
 import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -19,7 +20,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-from ..core.compilation import cache_folder, cache_trouble, private_folder, read_kept, write_kept
+from ..core.compilation import cache_folder, cache_trouble, private_folder
 
 
 def compiled(
@@ -66,7 +67,8 @@ class _Interruptible(CPUDispatcher):  # type: ignore[misc]
 
 
 class _Kept(NullCache):  # type: ignore[misc]
-    """Machine code of a function on disk: a file for the types of its arguments.
+    """Machine code of a function on disk: a file for the types of its arguments, which holds the SHA-256 of what follows, the
+    stamp, and the code.
 
     ``sources``: digests of the files of the function and of those that it calls, as they are when it is made: they may have been
     edited when it is compiled.
@@ -102,8 +104,14 @@ class _Kept(NullCache):  # type: ignore[misc]
         if (path := self._path(signature, context.codegen())) is None:
             return None
         try:
-            content = read_kept(path, self.stamp)
-            return None if content is None else CompileResult._rebuild(context, *pickle.loads(content))
+            if not path.exists():
+                return None
+            content = path.read_bytes()
+            if sha256(content[32:]).digest() != content[:32]:
+                raise ValueError("the file is damaged")
+            if content[32:64] != self.stamp:
+                return None
+            return CompileResult._rebuild(context, *pickle.loads(content[64:]))
         except Exception as error:
             cache_trouble(path.parent, error)
             return None
@@ -112,8 +120,15 @@ class _Kept(NullCache):  # type: ignore[misc]
         path = self._path(signature, result.codegen)
         if path is None or result.library.has_dynamic_globals:
             return
-        with contextlib.suppress(OSError):  # its source is no file: load_overload has said it
-            write_kept(path, self.stamp, dumps(result._reduce()))
+        part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
+        try:
+            content = self.stamp + dumps(result._reduce())
+            part.write_bytes(sha256(content).digest() + content)
+            part.replace(path)
+        except OSError as error:
+            cache_trouble(path.parent, error)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def _digest(path: str) -> bytes:

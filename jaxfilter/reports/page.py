@@ -253,7 +253,7 @@ def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, st
     if isinstance(filter_, Filter):
         cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
         title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
-        parameters = f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"
+        parameters = f"<section class=parameters>{title}{_parameters(filter_)}{cited}</section>"
     return {
         "style": _piece("page.css"),
         "code": "\n".join(map(_piece, SCRIPTS)),
@@ -263,6 +263,16 @@ def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, st
         "parameters": parameters,
         "version": escape(__version__),
     }
+
+
+def _parameters(filter_: Filter) -> str:
+    """A table of the fields."""
+    rows = []
+    for field in declared(filter_):
+        value, meta = getattr(filter_, field.name), field.metadata
+        default = "" if value == field.default else f" (default {field.default})"
+        rows.append((field.name, f"{value}{default}", meta["symbol"], meta["unit"], meta["doc"]))
+    return table(("parameter", "value", "symbol", "unit", "meaning"), rows)
 
 
 def _notes(what: _Labelled, steps: Steps, layers: Layers | None) -> list[str]:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import overlap_counts
 from ..core.errors import ParameterError, warn
 from ..core.filter import Filter
 from ..core.reading import Reading
@@ -109,7 +108,9 @@ def summarise(summary: Summary, around: Around, result: FilterResult, found: Fou
     summary.low_noise = int(result.low_noise[own].sum())
     if classes is not None:
         summary.classes.update(class_changes(cloud, Found(ground, found.code[own]), classes))
-    summary.overlap.update(overlap_counts(cloud, ground))
+    marked = np.zeros(len(cloud), bool) if cloud.in_overlap is None else cloud.in_overlap
+    for name, which in (("points", marked), ("judged", marked & cloud.candidate), ("ground", marked & ground)):
+        summary.overlap[name] += int(which.sum())
     summary.overlap["kept"] += int((ground & (found.code[own] == Finding.KEPT)).sum())
     summary.statuses[result.status.name] = 1
 

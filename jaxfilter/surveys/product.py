@@ -14,6 +14,7 @@ import numpy as np
 from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
+from ..core.points import has_area
 from ..core.reading import Reading
 from ..files.classes import Found
 from ..files.sources import Source
@@ -181,7 +182,7 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
     with collected_warnings():
         around = product.store.read(tile, product.reading, product.whole)
         points = product.filter.points_of(around.cloud)
-        if len(points) == 0 or not points.has_area():
+        if len(points) == 0 or not has_area(points.xyz):
             return None
         counts = lowest_among(product.filter, points)
     assert counts is not None

@@ -64,7 +64,7 @@ class Calibration:
     searched: tuple[str, ...]
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(str(self))}</p>" + self.filter._repr_html_()
+        return f"<p>{escape(str(self))}</p>"
 
     def __str__(self) -> str:
         name = "total error" if self.trials.attrs["score"] == "total" else "kappa"

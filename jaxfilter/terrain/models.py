@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, warn
-from ..core.points import canonical_points
+from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult, Progress, silent
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
@@ -113,7 +113,7 @@ def interpolated(site: Site) -> np.ndarray:
     values = np.full(grid.shape, np.nan, np.float32)
     if not len(cloud) and strict:
         warn("dtm: the cloud has no points, so no cell has a height")
-    if not points.has_area():
+    if not has_area(points.xyz):
         if not (strict and len(cloud)):
             return values
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
@@ -194,7 +194,7 @@ def heights_of(
     if not len(points):
         raise InputError("height_above_ground: no point is ground: classify the cloud first, or pass result=")
     xyz = _lowest(points.xyz)
-    surface = surface_through(xyz, Interpolation(), workers) if points.has_area() else None
+    surface = surface_through(xyz, Interpolation(), workers) if has_area(points.xyz) else None
     nearest, low, high = nearest_point(xyz, workers), xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     heights = np.zeros(len(rows))
     for start in range(0, len(rows), _CELLS):
