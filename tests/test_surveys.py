@@ -399,7 +399,7 @@ def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhe
     place.unlink(missing_ok=True)
     place.symlink_to(folder / (place.name if place.name in ("lock", "run.json") else ""))
     before = content()
-    with pytest.raises(jf.OutputError, match=r"link.* is not followed: remove it") as caught:
+    with pytest.raises(jf.OutputError, match="link") as caught:
         jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(), resume=True, **how))
     assert str(out / ".jaxfilter-run") in str(caught.value) and content() == before and place.is_symlink()
     if name == "lock":

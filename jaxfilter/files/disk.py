@@ -240,17 +240,18 @@ def sync(path: Path) -> None:
 
 def check_own(folder: Path, make: bool = False) -> None:
     """A hidden folder is this user's own, or there is none; with ``make`` it is made, for the user alone. Raises: OutputError if
-    a link, a file or the folder of another user has this name; or if it cannot be made."""
+    a link, a file, or a folder that another user has or may write to has this name; or if it cannot be made."""
     with output_errors(folder):
         if make:
             folder.mkdir(0o700, parents=True, exist_ok=True)
         elif not os.path.lexists(folder):
             return
-        facts = os.lstat(folder)
+        facts, writers = os.lstat(folder), stat.S_IWGRP | stat.S_IWOTH
         mine = stat.S_ISDIR(facts.st_mode)
-        if mine and hasattr(os, "getuid") and facts.st_uid != os.getuid():
+        if mine and hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & writers):
             with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder.parent) as made:
-                mine = os.lstat(made).st_uid == facts.st_uid  # some disks know one owner
+                known = os.lstat(made)  # some disks know one owner, or no permissions
+                mine = known.st_uid == facts.st_uid and not facts.st_mode & ~known.st_mode & writers
     if not mine:
-        what = "is a link, no folder, or the folder of another user"
+        what = "is a link, no folder, or a folder that another user has or may write to"
         raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")

@@ -150,8 +150,9 @@ class Collection:
 
     @functools.cached_property
     def crs(self) -> pyproj.CRS | None:
-        """The CRS of all files, with heights if a file states them; None if no file states a CRS. Raises: InputError, as
-        :attr:`units`.
+        """The CRS of all files, with heights if a file states them; None if no file states one.
+
+        Raises: InputError as :attr:`units`.
 
         >>> print(jf.open("survey", units="m").crs)
         None
