@@ -247,9 +247,7 @@ def pieces(header: Header, file: BinaryIO, starts: np.ndarray, size: int) -> np.
     found = np.empty((len(starts), size), np.uint8)
     for start, piece in zip(starts.tolist(), found, strict=True):
         file.seek(start)
-        block = file.read(size)
-        _refuse(header.path, len(block) < size, "the file ends within its points")
-        piece[:] = np.frombuffer(block, np.uint8)
+        _refuse(header.path, file.readinto(piece.data) < size, "the file ends within its points")  # type: ignore[attr-defined]
     return found
 
 

@@ -72,8 +72,10 @@ def read_points(
 def decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
     """The points of some runs. As laspy's reader of COPC does it: its ``seek`` takes chunks of several sizes for equal ones
     (laspy 2.7, lazrs 0.8), and returns other points."""
-    parts = [pieces(header, file, runs.start[k : k + 1], int(runs.size[k]))[0] for k in range(len(runs.start))]
-    packed = np.concatenate([np.zeros(0, np.uint8), *parts])
+    apart = np.flatnonzero(np.append(True, runs.start[1:] != (runs.start + runs.size)[:-1])[: len(runs.start)])
+    sizes = np.add.reduceat(runs.size, apart) if len(apart) else apart
+    parts = [pieces(header, file, runs.start[[k]], int(size))[0] for k, size in zip(apart, sizes, strict=True)]
+    packed = parts[0] if len(parts) == 1 else np.concatenate([np.zeros(0, np.uint8), *parts])
     if not header.compressed:
         return Points.from_buffer(packed, format_of(header))
     records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
