@@ -13,9 +13,8 @@ from las_files import OFFSETS, SCALES, las_of, make_copc, make_deep_copc, make_l
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
-from jaxfilter.files import points, runs, windows
-from jaxfilter.files.sources import describe_file
-from jaxfilter.files.windows import file_cloud, read_window
+from jaxfilter.files import points, runs, sources
+from jaxfilter.files.sources import describe_file, file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
@@ -112,7 +111,7 @@ def test_a_whole_file_is_read_once(tmp_path, monkeypatch, name):
     path = tmp_path / name
     make_copc(path) if "copc" in name else make_las(path, 6, n=3000)
     source = source_of(path, units="m")
-    monkeypatch.setattr(windows, "_runs", None)
+    monkeypatch.setattr(sources, "_runs", None)
     plain = jf.read(path, units="m")
     low, high = np.array(source.bounds[:2]), np.array(source.bounds[2:])
     for box in (None, tuple(np.concatenate([low, high + 0.001]))):
@@ -202,8 +201,8 @@ def test_feet_and_options_as_in_read(tmp_path):
 @pytest.mark.parametrize("name", ["in.las", "in.laz"])
 def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     """As long as the file is the same."""
-    path, passes, measured = tmp_path / name, [], windows.measured
-    monkeypatch.setattr(windows, "measured", lambda header: passes.append(1) or measured(header))
+    path, passes, measured = tmp_path / name, [], sources.measured
+    monkeypatch.setattr(sources, "measured", lambda header: passes.append(1) or measured(header))
     for seed in (0, 1):
         make_las(path, 6, n=1000, seed=seed)
         for box in ((X, Y, X + 50, Y + 50), (X + 50, Y, X + 80, Y + 50)):

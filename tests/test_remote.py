@@ -20,7 +20,7 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.files import storage
-from jaxfilter.files.windows import read_window
+from jaxfilter.files.sources import read_window
 
 pytestmark = [pytest.mark.usefixtures("plain_maps"), pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")]
 pytest.importorskip("aiohttp", reason="aiohttp is not installed: https:// is not tested")

@@ -61,7 +61,7 @@ class PointCloud:
         crs: pyproj.CRS or None; whatever ``pyproj.CRS.from_user_input`` takes becomes one.
         units: metres per file unit.
         anchor: f64[2], file coordinates that all grids count from; zero by default, so that clouds of one CRS share grids.
-        source: a handle to the file (see ``jaxfilter.files.handles``), used by lossless writing; None for plain arrays.
+        source: a handle to the file (see ``jaxfilter.files.points``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
         core: (xmin, ymin, xmax, ymax), file coordinates, of a part of a scene: labels are asked for inside only, and methods may
             leave out work that does not reach there. None = everywhere.

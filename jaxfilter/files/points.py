@@ -14,16 +14,16 @@ import lazrs
 import numpy as np
 
 from ..core.echoes import sample
-from ..core.errors import OutputError
+from ..core.errors import InputError, OutputError
 from ..core.inputs import COLUMNS
 from ..core.process import need_threads
 from ..core.reading import inside
 from ..core.units import PROJECTION, WKT
-from .disk import Bounds
+from .disk import CHANGED_SINCE, Bounds, opened
 from .guard import check_chunks, chunk_table, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
 from .runs import Runs, nodes
-from .storage import Remote
+from .storage import Place, Remote
 
 CHUNK = 1_000_000
 """Points that are held at a time."""
@@ -42,7 +42,7 @@ def read_points(
     bounds: Bounds | None = None,
     fields: laspy.DecompressionSelection = ALL,
     runs: Runs | None = None,
-    opened: BinaryIO | None = None,
+    file: BinaryIO | None = None,
 ) -> Iterator[tuple[Points, np.ndarray]]:
     """The points, up to a million at a time, in file order, and their numbers in the file, i64[k]; only those inside
     ``bounds`` if given.
@@ -51,11 +51,11 @@ def read_points(
         fields: :data:`ALL` or :data:`CLOUD`.
         runs: where runs of records lie: only those are read that may hold points inside the bounds. By default the nodes of
             the octree of COPC, and else the whole file.
-        opened: the file, if it is open.
+        file: the file, if it is open.
 
     Raises: InputError if the points are damaged.
     """
-    source = header.open() if opened is None else contextlib.nullcontext(opened)
+    source = header.open() if file is None else contextlib.nullcontext(file)
     with reading_errors(header.path), source as file:
         if header.unread is None:
             check_chunks(header, file)
@@ -181,6 +181,59 @@ def put_classes(points: Points, header: Header, classes: np.ndarray) -> None:
         points.array["ExtraBytes"][:, at["classification"]] = np.where(above, classes, 0)
         classes = np.where(above, np.uint8(0), classes)
     points.classification = classes
+
+
+@dataclasses.dataclass(frozen=True)
+class Handle:
+    """The LAS, LAZ or COPC file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
+
+    Attributes:
+        header: of the file when it was read.
+        points: number of points taken from the file, the length of the cloud.
+        bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
+        rows: bool of all points of the file, those that were taken; None = those inside the bounds.
+    """
+
+    header: Header
+    points: int
+    bounds: Bounds | None = None
+    rows: np.ndarray | None = None
+
+    @property
+    def path(self) -> Place:
+        """Absolute, or remote."""
+        return self.header.path.absolute()
+
+    @property
+    def format(self) -> str:
+        """In words, for messages."""
+        return str(self.header)
+
+    def records(self, file: BinaryIO, fields: laspy.DecompressionSelection = ALL) -> Iterator[Points]:
+        """The points, read once more from the open file. Raises InputError."""
+        for points, number in read_points(self.header, self.bounds, fields, file=file):
+            yield points if self.rows is None else points[self.rows[number]]
+
+    def coordinates(self) -> np.ndarray:
+        """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
+        with self.again() as file:
+            parts = [coordinates(points, self.header) for points in self.records(file, CLOUD)]
+            return np.concatenate([np.zeros((0, 3)), *parts])
+
+    @contextlib.contextmanager
+    def again(self) -> Iterator[BinaryIO]:
+        """A block in which the points are read once more, from this open file. Raises: InputError if it is gone, or is another
+        now."""
+        with contextlib.ExitStack() as stack:
+            try:
+                file, found = stack.enter_context(opened(self.path))
+            except OSError as error:
+                lost = f"{self.path}: the source of the cloud cannot be read again: {error.strerror}"
+                raise InputError(f"{lost}; put it back, or read it again where it is now") from error
+            if found != self.header.identity:
+                raise InputError(f"{self.path}: {CHANGED_SINCE}")
+            stack.enter_context(self.header.identity.kept(self.path, CHANGED_SINCE))
+            yield file
 
 
 class Writer:

@@ -21,12 +21,12 @@ from ..core.units import STATED, Reference, Units, check_lengths, linear_units, 
 from .classes import Classes, class_changes
 from .disk import CHANGED_IN_READING, Bounds, Identity, opened
 from .guard import check_chunks, read_header, reading_errors
-from .handles import Handle
 from .header import Header
 from .points import (
     ALL,
     CHUNK,
     CLOUD,
+    Handle,
     Points,
     attributes,
     integers,

@@ -21,9 +21,8 @@ from . import copc
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
 from .guard import read_header
-from .handles import Handle
 from .header import FLOATS, Header
-from .points import CHUNK, CLOUD, Points, Writer, attributes, coordinates, put_classes
+from .points import CHUNK, CLOUD, Handle, Points, Writer, attributes, coordinates, put_classes
 from .storage import Place, Remote, place_of
 from .text import SUFFIXES as TEXT_SUFFIXES
 from .text import TextFile, write_table

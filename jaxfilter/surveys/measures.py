@@ -17,7 +17,7 @@ from ..core.params import declared
 from ..core.points import canonical_points
 from ..core.reading import Reading
 from ..files.disk import Bounds
-from ..files.windows import read_window
+from ..files.sources import read_window
 from .collection import Collection
 from .tiles import joined
 

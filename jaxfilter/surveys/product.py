@@ -17,9 +17,8 @@ from ..core.filter import Filter, lowest_among
 from ..core.points import has_area
 from ..core.reading import Reading
 from ..files.classes import Found
-from ..files.sources import Source
+from ..files.sources import Source, file_cloud
 from ..files.storage import Place
-from ..files.windows import file_cloud
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings

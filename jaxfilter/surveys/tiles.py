@@ -20,8 +20,7 @@ from ..core.inputs import COLUMNS
 from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..files.disk import Bounds
-from ..files.sources import Source
-from ..files.windows import read_window
+from ..files.sources import Source, read_window
 from .collection import common
 
 _LEAST = 1e-9

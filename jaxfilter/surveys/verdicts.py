@@ -22,9 +22,9 @@ from ..core.result import Decision, FilterResult
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
 from ..files.disk import Seal, check_suffix, new_file
+from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
 from ..files.vectors import SUFFIXES
-from ..files.windows import file_cloud
 from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
