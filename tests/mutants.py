@@ -165,8 +165,8 @@ def mutant(
     same = [one for one in sounds if one.kind == kind]
     sound = same[rng.integers(len(same))]
     names = [*ANY, *(TEXT if kind == "text" else fields(sound)), *["table"] * bool(sound.chunks)]
-    names += ["between layers"] * bool(sound.chunks and sound.layers())
-    names = [name for name in names if name in only] if only else names
+    if only:  # LASzip, too, reads other points where bytes go from one layer to another
+        names = [name for name in [*names, *["between layers"] * bool(sound.layers())] if name in only]
     content, damages = bytearray(sound.content), []
     while bytes(content) == sound.content or (rng.random() < 0.3 and len(damages) < 3):
         damages.append(names[rng.integers(len(names))])
