@@ -195,3 +195,9 @@ def test_heights_of_several_datums_are_no_survey(tmp_path, one, other, words):
         _ = survey.units
     with pytest.raises(jf.InputError, match="states another CRS"):
         jf.read(tmp_path / "1.las", crs=one)
+
+
+def test_heights_alone_do_not_state_units(tmp_path):
+    file_with(tmp_path / "in.las", pyproj.CRS(7837).to_wkt("WKT1_GDAL"))
+    with pytest.warns(jf.JaxfilterWarning, match=r"in.las: no CRS states the units, metres are assumed"):
+        jf.ground(tmp_path / "in.las", tmp_path / "out.las", jf.SMRF())

@@ -105,9 +105,11 @@ def test_missing_changed_and_without_ranges(tmp_path, server):
     make_copc(tmp_path / "in.copc.laz", seed=1)
     with pytest.raises(jf.InputError, match="has changed"):
         read_window(source, box)
+    make_las(tmp_path / "small.laz", 6)
     server.knows_ranges = False
-    with pytest.raises(jf.InputError, match=r"large\.copc\.laz: .* range requests"):
-        jf.open(f"{server.url}/large.copc.laz")
+    for name, what in (("large.copc.laz", jf.open), ("small.laz", jf.read)):
+        with pytest.raises(jf.InputError, match=rf"{name}: the server does not support range requests.* download"):
+            what(f"{server.url}/{name}")
     with pytest.raises(jf.InputError, match="text is read from local disks only"):
         jf.read(f"{server.url}/points.txt")
 

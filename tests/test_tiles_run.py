@@ -358,6 +358,10 @@ def test_folders_that_hold_something_are_refused(files, done, tmp_path):
         run(files, done[0])
     with pytest.raises(jf.OutputError, match="is an input"):
         run(files, files, overwrite=True)
+    os.link(files / "00.laz", tmp_path / "link.laz")
+    for options in (jf.RunOptions(overwrite=True), jf.RunOptions(resume=True)):
+        with pytest.raises(jf.OutputError, match=r"link\.laz: is an input"):
+            jf.ground(files / "00.laz", tmp_path / "link.laz", jf.SMRF(), run=options)
     other = tmp_path / "other"
     shutil.copytree(files, other)
     with pytest.raises(jf.ParameterError, match=r"one\.laz: 4 files are written into a folder"):

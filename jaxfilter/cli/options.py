@@ -272,10 +272,12 @@ def open_files(
     from ..files.storage import place_of
     from ..surveys.targets import check_out
 
+    may_replace = "in_place" in options
     reading, run = take(Reading, options), take_run(options, session)
     inputs, out = (list(names), None) if run.in_place else (list(names[:-1]), names[-1])
     if not inputs:
-        what = f"a {' or '.join(suffixes)} to write" if suffixes else "a file or a folder to write, or pass --in-place"
+        what = f"a {' or '.join(suffixes) or 'file or a folder'} to write"
+        what += ", or pass --in-place" * may_replace
         raise BadUsage(f"OUT is missing: name {what}")
     output = out or ", ".join(inputs)
     if out == "-":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -162,8 +163,8 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
             "--classes and --classified: files that are classified are not written: leave out one of the two"
         )
     only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
-    if names[-1] == "-":
-        raise BadUsage("-: products are several files: name a folder")
+    if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
+        raise BadUsage(f"{names[-1]}: products are several files: name a folder")
     check_shapes(options, options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
     cell, side = _side(files, options)

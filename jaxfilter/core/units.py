@@ -115,8 +115,8 @@ class Stated(NamedTuple):
             asked = f"crs={self.crs.to_string()!r}"
             if reference.crs is None:
                 reference = _from_crs(self.crs, asked)
-            elif difference(self.crs, reference.crs):
-                other = f"the file states another CRS, {reference.crs.name}"
+            elif names := difference(self.crs, reference.crs):
+                other = f"the file states another CRS, {names[1]}"
                 raise InputError(f"{name}: {asked}: {other}: leave out crs=, since nothing is reprojected")
         return reference if self.units is None else dataclasses.replace(reference, units=self.units, problem=None)
 

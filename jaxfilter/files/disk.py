@@ -138,6 +138,10 @@ def opened(place: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, I
             yield file, identity
     else:
         with open(place, "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(
+                    f"{place}: is a pipe or a device, and only regular files are read; save it as a file first"
+                )
             yield file, Identity.of(file.fileno())
 
 

@@ -136,6 +136,8 @@ def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
     """i64[3, k]: where the chunks of a LAZ file begin, their bytes, and their points: of chunks of a fixed size, that size."""
     compressor = lazrs.LazVlr(header.laszip)
     file.seek(len(header.head))
+    file.read(1)  # lazrs does not say why a store fails
+    file.seek(len(header.head))
     points, sizes = np.array(lazrs.read_chunk_table(file, compressor), np.int64).reshape(-1, 2).T
     if not compressor.uses_variable_size_chunks():
         points = np.full_like(points, compressor.chunk_size())

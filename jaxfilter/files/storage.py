@@ -134,6 +134,9 @@ class Remote:
                     hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(
                         cause, ImportError
                     )
+                    if "range requests" in str(cause):
+                        why = "the server does not support range requests, which read parts of a file; download the file first"
+                        raise error(f"{self.uri}: {why}") from failure
                     raise error(f"{self.uri}: cannot be reached: {type(cause).__name__}: {cause}{hint}") from failure
             time.sleep(wait)
         raise AssertionError("unreachable")

@@ -187,7 +187,8 @@ class Collection:
         >>> jf.open("survey", units="ft").assumes_metres
         False
         """
-        return self.crs is None and self.units == Units() and set(self._columns["format"]) != {"text"}
+        states = self.crs is not None and len(self.crs.axis_info) > 1  # heights alone do not say it
+        return not states and self.units == Units() and set(self._columns["format"]) != {"text"}
 
     def examined(self) -> Collection:
         """The same files, each with the extent of its points where some of them show that the header states another; see

@@ -86,6 +86,8 @@ def products(
         raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
+    if isinstance(folder, Path) and folder.is_file():
+        raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
     layers = [LAYERS[name] for name in LAYERS if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)

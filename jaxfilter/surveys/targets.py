@@ -137,7 +137,14 @@ def targets_of(out: str | Place | None, uris: Sequence[str]) -> Targets:
 
 
 def _real(place: Place) -> str:
-    return place.uri if isinstance(place, Remote) else os.path.realpath(place)
+    """The same for all names of a file, hard links too."""
+    if isinstance(place, Remote):
+        return place.uri
+    with contextlib.suppress(OSError):
+        found = os.stat(place)
+        if found.st_ino:  # some file systems number no files
+            return f"{found.st_dev} {found.st_ino}"
+    return os.path.realpath(place)
 
 
 def target_names(uris: Sequence[str]) -> list[str]:
