@@ -70,6 +70,7 @@ def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are
         for times in (time[order], None):
             columns = {"return_number": number[order], "number_of_returns": total[order]}
             assert numbering(columns, z[order], times) is Numbering.SOUND
+    assert numbering({"return_number": number, "number_of_returns": 0 * total}, z) is Numbering.SOUND
     runs = sample(3_000_000)
     assert runs[0].start == 0 and runs[-1].stop == 3_000_000 and sum(run.stop - run.start for run in runs) < 2**18
     assert sample(1000) == [slice(0, 1000)]
