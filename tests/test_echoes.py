@@ -5,9 +5,11 @@ import warnings
 import laspy
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from las_files import las_of
 
 import jaxfilter as jf
+from jaxfilter.cli import main
 from jaxfilter.core.echoes import Numbering, numbering, sample
 
 
@@ -61,6 +63,15 @@ def test_return_numbers_that_are_not_as_the_format_wants_them(tmp_path, way):
         jf.ground(tmp_path / "a.laz", tmp_path / "out.laz", jf.SMRF(), run=jf.RunOptions(workers=1))
     out = laspy.read(tmp_path / "out.laz")
     assert np.array_equal(out.return_number, wrong[mixed]) and np.count_nonzero(out.classification == 2) > 0
+
+
+def test_the_command_says_once_what_several_tiles_say(tmp_path):
+    xyz, number, total, _ = pulses()
+    path = tmp_path / "in.las"
+    las_of(path, xyz, crs=32632, return_number=number - 1, number_of_returns=total)
+    words = ("ground", "smrf", path, tmp_path / "out.las", "--tile", 50, "--wide-halos", "--workers", 1)
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 0 and result.stderr.count("count from 0") == 1, result.output
 
 
 def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are_sampled():
