@@ -5,9 +5,11 @@ import warnings
 import laspy
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from las_files import las_of
 
 import jaxfilter as jf
+from jaxfilter.cli import main
 from jaxfilter.core.echoes import Numbering, numbering, sample
 
 
@@ -63,6 +65,15 @@ def test_return_numbers_that_are_not_as_the_format_wants_them(tmp_path, way):
     assert np.array_equal(out.return_number, wrong[mixed]) and np.count_nonzero(out.classification == 2) > 0
 
 
+def test_the_command_says_once_what_several_tiles_say(tmp_path):
+    xyz, number, total, _ = pulses()
+    path = tmp_path / "in.las"
+    las_of(path, xyz, crs=32632, return_number=number - 1, number_of_returns=total)
+    words = ("ground", "smrf", path, tmp_path / "out.las", "--tile", 50, "--wide-halos", "--workers", 1)
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 0 and result.stderr.count("count from 0") == 1, result.output
+
+
 def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are_sampled():
     xyz, number, total, time = pulses(60_000)
     z = np.round(xyz[:, 2], 1)
@@ -70,6 +81,7 @@ def test_sound_numbers_are_taken_as_they_are_in_any_order_and_parts_of_files_are
         for times in (time[order], None):
             columns = {"return_number": number[order], "number_of_returns": total[order]}
             assert numbering(columns, z[order], times) is Numbering.SOUND
+    assert numbering({"return_number": number, "number_of_returns": 0 * total}, z) is Numbering.SOUND
     runs = sample(3_000_000)
     assert runs[0].start == 0 and runs[-1].stop == 3_000_000 and sum(run.stop - run.start for run in runs) < 2**18
     assert sample(1000) == [slice(0, 1000)]

@@ -253,6 +253,14 @@ def test_las_14_in_the_compatibility_mode_of_laszip(tmp_path, suffix):
     )
     out = laspy.read(tmp_path / f"out{suffix}")
     assert (out.classification[:30] == 0).all() and (out["LAS 1.4 classification"][:30] == 40).all()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*converted from 1 to 6")
+        write(tmp_path / "out.copc.laz", cloud, None)
+    out = laspy.read(tmp_path / "out.copc.laz")
+    np.testing.assert_array_equal(np.sort(out.classification), np.sort(classes))
+    assert (
+        (out.return_number == 9).all() and (out.number_of_returns == 10).all() and np.count_nonzero(out.overlap) == 30
+    )
 
 
 def test_extra_dimension_of_another_type(tmp_path):

@@ -229,11 +229,11 @@ def test_points_that_the_header_denies(tmp_path, name, n):
     assert len(read_window(source, (X, Y, X + 1000, Y + 1000)).record) == n
 
 
-def test_a_header_that_is_true_of_points_in_one_place(tmp_path):
-    make_las(tmp_path / "in.las", 6, n=5, X=np.zeros(5), Y=np.zeros(5))
+def test_points_at_one_place_are_no_contradiction(tmp_path):
+    las_of(tmp_path / "in.las", np.ones((50, 3)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert describe_file(tmp_path / "in.las", points=True).bounds == pytest.approx((X, Y, X, Y))
+        assert describe_file(tmp_path / "in.las", points=True).bounds == (1.0, 1.0, 1.0, 1.0)
 
 
 def test_a_file_that_changes_is_refused(tmp_path):

@@ -274,6 +274,20 @@ def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path
     )
 
 
+def test_bounds_without_points_are_an_error_beside_the_data_and_give_an_empty_file_in_a_gap(survey, tmp_path):
+    xyz = jf.read(survey / "west.las").coordinates()
+    path = tmp_path / "gap.laz"
+    las_of(path, np.concatenate([xyz, xyz + [1000, 0, 0]]), classification=2)
+    x, y = xyz[:, :2].max(axis=0)
+    for act, filter_ in ((jf.ground, (PMF,)), (jf.heights, ())):
+        for what in (path, survey):
+            with pytest.raises(jf.InputError, match="no point is in bounds 0, 0, 20, 20: pass other bounds="):
+                act(what, tmp_path / "out", *filter_, reading=jf.Reading(bounds=(0, 0, 20, 20)))
+    jf.heights(path, tmp_path / "out.laz", reading=jf.Reading(bounds=(x + 100, y - 50, x + 200, y)))
+    out = laspy.read(tmp_path / "out.laz")
+    assert len(out) == 0 and list(out.point_format.extra_dimension_names) == ["HeightAboveGround"]
+
+
 def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
     before, names = sorted(tmp_path.rglob("*")), ["east.las", "west.las"]
     how = {"tile": 80.0, "wide_halos": True, "workers": 1}

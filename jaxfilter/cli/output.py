@@ -98,7 +98,7 @@ def tell(session: Session, report: RunReport) -> None:
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
     for remark, times in report.remarks.items():
-        session.warn_of(remark + (f" ({times} times)" if times > 1 else ""))
+        session.warn_of(remark, times)
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:

@@ -267,12 +267,12 @@ class Session:
             self.steps[running] = self.steps.get(running, 0.0) + now - since
         self._mark = (step, now)
 
-    def warn_of(self, message: str) -> None:
-        """A line on a warning of the library, the first time that it comes."""
+    def warn_of(self, message: str, times: int = 1) -> None:
+        """A line on a warning of the library that came so often, the first time that it comes."""
         text = in_flags(message)
         if text not in self.warnings:
             self.warnings.append(text)
-            self.warn(text)
+            self.warn(text + (f" ({times} times)" if times > 1 else ""))
 
     def as_dict(self) -> dict[str, Any]:
         """Seconds by step of the command and of the filter, compilations, and warnings."""

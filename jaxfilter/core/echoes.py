@@ -58,7 +58,7 @@ def numbering(columns: Mapping[str, Any], z: np.ndarray, time: np.ndarray | None
     if not (number.any() or total.any()):
         return Numbering.EMPTY
     judged = several if several.any() else total > 0
-    if (number == 0)[judged].mean() > _FIRST and (number >= total)[judged].mean() <= _FEW:
+    if judged.any() and (number == 0)[judged].mean() > _FIRST and (number >= total)[judged].mean() <= _FEW:
         number, how = number + (number < total), Numbering.FROM_ZERO
     if several.sum() >= _ENOUGH and (number >= total)[several].mean() <= _FEW:
         return Numbering.UNFILLED

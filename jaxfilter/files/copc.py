@@ -51,7 +51,7 @@ def write_octree(plain: Path, target: Path) -> None:
     """
     header = _header(plain)
     if FORMATS[header.point_format] != header.point_format:
-        plain = _converted(plain, header.point_format)
+        plain = _converted(plain, header)
         header = _header(plain)
     n, length, number = header.count, header.record_length, header.point_format
     points = np.memmap(plain, np.uint8, "r", len(header.head), (n, length)) if n else np.zeros((0, length), np.uint8)
@@ -130,13 +130,19 @@ def _packed(cell: np.ndarray) -> np.ndarray:
     return np.asarray(cell[:, 0] | cell[:, 1] << 21 | cell[:, 2] << 42)
 
 
-def _converted(plain: Path, number: int) -> Path:
+def _converted(plain: Path, header: Header) -> Path:
     """The same points in the format that COPC has for them, by laspy; its CRS as WKT, which such formats need."""
     import laspy
 
     old = laspy.read(plain)
-    new = laspy.convert(old, point_format_id=FORMATS[number])
+    new = laspy.convert(old, point_format_id=FORMATS[header.point_format])
     new.scan_angle = np.rint(np.asarray(old.scan_angle_rank) / 0.006)  # in units of 0.006 degrees
+    if header.upper:  # the rules by which LASzip makes LAS 1.4 of it
+        echoes, flags = np.asarray(old["LAS 1.4 extended returns"]), np.asarray(old["LAS 1.4 flags and channel"])
+        new.return_number = np.asarray(old.return_number) + (echoes >> 4)
+        new.number_of_returns = np.asarray(old.number_of_returns) + (echoes & 15)
+        new.classification = np.asarray(old.classification) + np.asarray(old["LAS 1.4 classification"])
+        new.overlap, new.scanner_channel = flags & 1, flags >> 1 & 3
     crs = old.header.parse_crs()
     if crs is not None:
         new.header.add_crs(crs)

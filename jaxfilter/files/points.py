@@ -279,7 +279,7 @@ class Writer:
         """Append points, with the dimensions that are added, f32[n] each. Raises: OSError."""
         form, array = self._laspy.header.point_format, points.array
         if self.extra:
-            old = array.view(np.uint8).reshape(len(array), -1)
+            old = array.view(np.uint8).reshape(len(array), array.dtype.itemsize)
             new = np.stack([columns[name] for name in self.extra], axis=1).astype("<f4").view(np.uint8)
             array = np.concatenate([old, new], axis=1).view(form.dtype())[:, 0]
         with self._heard.errors():

@@ -163,10 +163,7 @@ def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
         reached = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
         raise InputError(f"{header.path}: {reached}: correct scale and offset in its header")
     margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
-    same = (abs(np.stack([low, high]) - found) <= slack).all()
-    if not same and not (
-        sane and (abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()
-    ):
+    if not ((abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()):
         words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in ((low, high), np.round(found, 3)))
         warn(f"{header.path}: its header states the extent {words}, and its points lie in {true}, which is used")
     return found

@@ -267,7 +267,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         for name, dimension in existing.items():
             values = labels.extra[name][rows].astype(FLOATS[dimension.data_type]).view(np.uint8)
             at = slice(dimension.start, dimension.start + dimension.size)
-            points.array["ExtraBytes"][:, at] = values.reshape(len(points), -1)
+            points.array["ExtraBytes"][:, at] = values.reshape(len(points), dimension.size)
         if labels.z is not None:
             points.array["Z"] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
         writer.write(points, {name: labels.extra[name][rows] for name in added})

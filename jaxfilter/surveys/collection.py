@@ -199,19 +199,24 @@ class Collection:
             return Collection(pool.map(examined, self), self.unreadable, self.repeated)
 
     def clipped(self, box: Bounds) -> Collection:
-        """The files that may hold points of a half-open box, with their bounds as far as it; a file alone stays in any case.
+        """The files that may hold points of a half-open box, with their bounds as far as it; all if they have no points.
+
+        Raises: InputError if none of them can hold points there.
 
         >>> len(jf.open("survey", units="m").clipped((512000, 5403000, 512010, 5403010)))
         1
         """
         sources = []
-        for number in self.within(box).tolist() if len(self) > 1 else range(len(self)):
+        for number in self.within(box).tolist() if len(self) > 1 and self.count else range(len(self)):
             source = self[number]
             bounds = common(source.bounds, box)
-            meets = bounds[0] <= bounds[2] and bounds[1] <= bounds[3]
-            sources.append(dataclasses.replace(source, bounds=bounds) if meets else source)
+            if not source.count:
+                sources.append(source)
+            elif bounds[0] <= bounds[2] and bounds[1] <= bounds[3]:
+                sources.append(dataclasses.replace(source, bounds=bounds))
         if not sources:
-            raise InputError(f"bounds={box}: none of the {len(self):,} files has points there")
+            words, data = (", ".join(f"{v:.10g}" for v in one) for one in (box, self.bounds))
+            raise InputError(f"{self.name}: no point is in bounds {words}: pass other bounds= within {data}")
         return Collection(sources, self.unreadable, self.repeated)
 
     def _refuse_mixture(self) -> None:
