@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .options import Files
 
 _PLACES_LISTED, _FILES_LISTED = 5, 5
-_COMPLETE = "an earlier run is complete, and nothing was left to do"
+_COMPLETE = "is there already, and nothing was left to do; --overwrite makes it anew"
 
 
 def run_facts(session: Session, report: RunReport, files: Files | None = None) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def run_facts(session: Session, report: RunReport, files: Files | None = None) -
 def report_text(report: dict[str, Any]) -> str:
     """What `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
     if report["was_complete"]:
-        return f"{report['output']}: {_COMPLETE}"
+        return f"{report['output']} {_COMPLETE}"
     ground, points, compiled = report["ground"], report["points"], report["compilations"]
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
     share, judged = 100 * ground / max(points, 1), f"{report['candidates']:,} were judged"
@@ -112,7 +112,7 @@ def tell(session: Session, report: RunReport) -> None:
 def answer_of(files: Files, report: RunReport, text: str) -> Answer:
     """What a run has found, with lines on what it warned of and could not do."""
     tell(files.session, report)
-    text = f"{files.output}: {_COMPLETE}" if report.was_complete else text
+    text = f"{files.output} {_COMPLETE}" if report.was_complete else text
     return Answer(run_facts(files.session, report, files), text, complete=report.complete)
 
 
