@@ -6,6 +6,7 @@ import math
 import struct
 from pathlib import Path
 
+import laspy
 import lazrs
 import numpy as np
 
@@ -34,10 +35,7 @@ def is_copc(path: Place) -> bool:
 def check_format(path: Place, number: int) -> None:
     """Raises OutputError for points that COPC cannot hold; warns of those that are converted."""
     if number not in FORMATS:
-        raise OutputError(
-            f"{path}: COPC holds point formats 6 to 8, and the input has {number}, with waveforms, which would be lost: "
-            "write .laz or .las"
-        )
+        raise OutputError(f"{path}: COPC has no room for the waveforms of point format {number}: write .laz or .las")
     if FORMATS[number] != number:
         warn(f"{path}: COPC holds point formats 6 to 8: the points are converted from {number} to {FORMATS[number]}")
 
@@ -45,14 +43,14 @@ def check_format(path: Place, number: int) -> None:
 def write_octree(plain: Path, target: Path) -> None:
     """Make a COPC file of uncompressed LAS, of a point format that :func:`check_format` lets pass.
 
-    Every record of the points stays as it is, but for another point format; extra bytes and variable length records stay. A
-    node has one point of each of ``GRID`` cells a side, in the order of the file, and its children have the rest, so that a
-    level shows the whole at its spacing. Raises: OSError.
+    Records stay as they are, but for another point format. A node has one point of each of ``GRID`` cells a side, in the order of
+    the file, and its children have the rest, so that a level shows the whole at its spacing. Raises: OSError.
     """
-    header = _header(plain)
+    with opened(plain) as (file, identity):
+        header = read_header(plain, file, identity)
     if FORMATS[header.point_format] != header.point_format:
-        plain = _converted(plain, header)
-        header = _header(plain)
+        write_octree(_converted(plain, header), target)
+        return
     n, length, number = header.count, header.record_length, header.point_format
     points = np.memmap(plain, np.uint8, "r", len(header.head), (n, length)) if n else np.zeros((0, length), np.uint8)
     corner, side, order, keys, counts = _octree(header, points[:, :12].view("<i4"))
@@ -95,11 +93,6 @@ def write_octree(plain: Path, target: Path) -> None:
         file.write(front)
 
 
-def _header(plain: Path) -> Header:
-    with opened(plain) as (file, identity):
-        return read_header(plain, file, identity)
-
-
 def _octree(header: Header, ticks: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray, np.ndarray]:
     """Corner f64[3] and side of the cube, the order i64[n] of points i32[n, 3], and level, x, y, z i64[k, 4] and number of
     points i64[k] of nodes. No face of a node goes through a place that a point can have."""
@@ -132,8 +125,6 @@ def _packed(cell: np.ndarray) -> np.ndarray:
 
 def _converted(plain: Path, header: Header) -> Path:
     """The same points in the format that COPC has for them, by laspy; its CRS as WKT, which such formats need."""
-    import laspy
-
     old = laspy.read(plain)
     new = laspy.convert(old, point_format_id=FORMATS[header.point_format])
     new.scan_angle = np.rint(np.asarray(old.scan_angle_rank) / 0.006)  # in units of 0.006 degrees
@@ -143,9 +134,7 @@ def _converted(plain: Path, header: Header) -> Path:
         new.number_of_returns = np.asarray(old.number_of_returns) + (echoes & 15)
         new.classification = np.asarray(old.classification) + np.asarray(old["LAS 1.4 classification"])
         new.overlap, new.scanner_channel = flags & 1, flags >> 1 & 3
-    crs = old.header.parse_crs()
-    if crs is not None:
+    if (crs := old.header.parse_crs()) is not None:
         new.header.add_crs(crs)
-    made = plain.with_name("converted.las")
-    new.write(made)
+    new.write(made := plain.with_name("converted.las"))
     return made
