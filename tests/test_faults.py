@@ -287,7 +287,7 @@ def test_signals_while_a_file_is_written(tmp_path, monkeypatch, number, suffix, 
     """In the LAZ encoder an exception passes through code that knows only words."""
     source, target = make(tmp_path / "in.las"), tmp_path / f"out{suffix}"
     before = [signal.getsignal(one) for one in SIGNALS]
-    place = (points._Heard, "__getattr__") if suffix == ".laz" else (points.Writer, "write")
+    place = (points._Output, "__getattr__") if suffix == ".laz" else (points.Writer, "write")
     at_call(monkeypatch, *place, call, lambda: os.kill(os.getpid(), number))
     result = CliRunner().invoke(main, ["ground", "pmf", str(source), str(target), "--units", "m"])
     assert result.exit_code == 128 + number, result.output

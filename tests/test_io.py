@@ -263,6 +263,17 @@ def test_las_14_in_the_compatibility_mode_of_laszip(tmp_path, suffix):
     )
 
 
+def test_more_extra_bytes_than_a_record_can_describe(tmp_path):
+    las = las_of(None, np.random.default_rng(0).uniform(0, 9, (50, 3)))
+    las.add_extra_dim(laspy.ExtraBytesParams("many", "342u1"))
+    las.write(tmp_path / "in.las")
+    patch(tmp_path / "in.las", "9s", (tmp_path / "in.las").read_bytes().index(b"LASF_Spec"), b"elsewhere")
+    cloud = read(tmp_path / "in.las", units="m")
+    with pytest.raises(OutputError, match=r"in\.las: its points have too many extra bytes"):
+        write(tmp_path / "out.las", cloud, result_of(cloud), extra=("height",))
+    assert list(tmp_path.iterdir()) == [tmp_path / "in.las"]
+
+
 def test_extra_dimension_of_another_type(tmp_path):
     las = las_of(None, np.random.default_rng(0).uniform(0, 9, (50, 3)))
     las.add_extra_dim(laspy.ExtraBytesParams("height", "u2"))

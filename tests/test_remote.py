@@ -114,8 +114,8 @@ def test_missing_changed_and_without_ranges(tmp_path, server):
         jf.read(f"{server.url}/points.txt")
 
 
-def test_cubes_that_do_not_hold_their_points(tmp_path):
-    """All nodes are read then."""
+def test_cubes_that_do_not_hold_their_points(tmp_path, server):
+    """Of a file on a disk all nodes are read then."""
     path = tmp_path / "in.copc.laz"
     make_copc(path)
     content = bytearray(path.read_bytes())
@@ -126,6 +126,11 @@ def test_cubes_that_do_not_hold_their_points(tmp_path):
     inside = ((held := make_copc(tmp_path / "same.copc.laz"))[:, :8].copy().view("<i4") // 1000 == 4).all(axis=1)
     np.testing.assert_array_equal(window.record, np.flatnonzero(inside))
     assert len(held) == 400 and len(window.record) > 0
+    remote = jf.open(f"{server.url}/in.copc.laz")[0]  # over the net not every node is looked into beforehand
+    with pytest.raises(
+        jf.InputError, match=r"in\.copc\.laz: points lie outside the cubes of its octree.*without bounds"
+    ):
+        read_window(remote, (X + 40, Y + 40, X + 50, Y + 50))
 
 
 def test_a_survey_of_urls(tmp_path, server):

@@ -64,9 +64,27 @@ def read_points(
         for group in (runs if bounds is None else runs.meeting(bounds)).groups(CHUNK):
             points, numbers = decoded(header, file, group, fields), group.records
             if bounds is not None:
+                if header.is_copc:
+                    _check_cubes(header, group, points)
                 kept = inside(coordinates(points, header, 2), bounds)
                 points, numbers = points[kept], numbers[kept]
             yield points, numbers
+
+
+def _check_cubes(header: Header, nodes: Runs, points: Points) -> None:
+    """Raises: InputError if points of COPC lie outside the cubes of their nodes, so that others of the box may be missing."""
+    low, high = (ends[:, :2] * header.scales[:2] + header.offsets[:2] for ends in _ends(nodes, points))
+    if not ((low >= nodes.low) & (high <= nodes.high)).all():
+        raise InputError(
+            f"{header.path}: points lie outside the cubes of its octree, so those of a box cannot be found: read the whole file, "
+            "without bounds, and write it anew"
+        )
+
+
+def _ends(runs: Runs, points: Points) -> np.ndarray:
+    """i32[2, k, 3]: lowest and highest X, Y, Z of the points of each run."""
+    ticks, at = integers(points), np.cumsum(runs.points) - runs.points
+    return np.stack([np.minimum.reduceat(ticks, at), np.maximum.reduceat(ticks, at)])
 
 
 def decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
@@ -105,8 +123,7 @@ def measured(header: Header) -> tuple[Runs, np.ndarray]:
     with reading_errors(header.path), header.open() as file:
         runs = Runs.of_file(header, file)
         for group in runs.groups(CHUNK):
-            ticks, at = integers(decoded(header, file, group, CLOUD)), np.cumsum(group.points) - group.points
-            ends.append(np.stack([np.minimum.reduceat(ticks, at), np.maximum.reduceat(ticks, at)]))
+            ends.append(_ends(group, decoded(header, file, group, CLOUD)))
     low, high = np.concatenate(ends, axis=1) * header.scales + header.offsets
     extent = np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else np.full((2, 3), np.nan)
     return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
@@ -268,11 +285,11 @@ class Writer:
             b"".join(self._records) + header.head[header.vlrs[-1].end if header.vlrs else header.size :]
         )
         self._laszip = laszip_record(number, form.num_extra_bytes) if compressed else b""
-        self._heard = _Heard(file)
-        with self._heard.errors():
+        self._output = _Output(file)
+        with self._output.errors():
             need_threads()
             self._laspy = laspy.LasWriter(
-                self._heard, made, do_compress=compressed, laz_backend=laspy.LazBackend.LazrsParallel, closefd=False
+                self._output, made, do_compress=compressed, laz_backend=laspy.LazBackend.LazrsParallel, closefd=False
             )
 
     def write(self, points: Points, columns: dict[str, np.ndarray]) -> None:
@@ -282,12 +299,12 @@ class Writer:
             old = array.view(np.uint8).reshape(len(array), array.dtype.itemsize)
             new = np.stack([columns[name] for name in self.extra], axis=1).astype("<f4").view(np.uint8)
             array = np.concatenate([old, new], axis=1).view(form.dtype())[:, 0]
-        with self._heard.errors():
+        with self._output.errors():
             self._laspy.write_points(Points(array, form))
 
     def finish(self, source: BinaryIO | None) -> None:
         """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
-        with self._heard.errors():
+        with self._output.errors():
             self._laspy.close()
         made, old = self._laspy.header, self.header.head
         patches = {4: old[4:24], 26: old[26:94]}  # source, encoding, project; names, dates
@@ -329,18 +346,22 @@ def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] 
     """The variable length records of an output, as bytes."""
     kept = [record for record in without_octree(header, header.vlrs) if record.key != LASZIP]
     if extra:
-        described = header.extra_dimensions()
-        if described is None:
+        known = header.extra_dimensions()
+        if known is None:
             raise OutputError(f"{header.path}: the description of its extra bytes is damaged, so none can be added")
         first = RECORD_LENGTHS[header.point_format]
-        end = max((one.start + one.size for one in described), default=0)
+        end = max((one.start + one.size for one in known), default=0)
         entries = [(f"undescribed {i + 1}", 1, "") for i in range(header.record_length - first - end)]
         entries += [(name, 9, words) for name, words in extra.items()]
         data = [header.head[record.payload : record.end] for record in kept if record.key == EXTRA_BYTES]
         data += [
             struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), words.encode()) for name, kind, words in entries
         ]
-        yield vlr(*EXTRA_BYTES, b"".join(data))  # readers look at one record only
+        if len(described := b"".join(data)) > 65_535:
+            raise OutputError(
+                f"{header.path}: its points have too many extra bytes: one record cannot describe more of them"
+            )
+        yield vlr(*EXTRA_BYTES, described)  # readers look at one record only
         kept = [record for record in kept if record.key != EXTRA_BYTES]
     for record in kept:
         yield header.head[record.start : record.end]
@@ -358,7 +379,7 @@ def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:
     return struct.pack("<H16sHH32s", 0, user.encode(), number, len(payload), description.encode()) + payload
 
 
-class _Heard:
+class _Output:
     """A file that keeps what was raised when the LAZ encoder used it, of which the encoder passes on only a few words."""
 
     def __init__(self, file: BinaryIO) -> None:

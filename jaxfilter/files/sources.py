@@ -160,8 +160,8 @@ def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
     found = seen if small else measured(header)[1]
     if (far := abs(found) >= FARTHEST).any():
         axis = int(far.any(axis=0).argmax())
-        reached = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
-        raise InputError(f"{header.path}: {reached}: correct scale and offset in its header")
+        words = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
+        raise InputError(f"{header.path}: {words}: correct scale and offset in its header")
     margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
     if not ((abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()):
         words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in ((low, high), np.round(found, 3)))
