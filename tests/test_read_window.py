@@ -201,8 +201,8 @@ def test_feet_and_options_as_in_read(tmp_path):
 @pytest.mark.parametrize("name", ["in.las", "in.laz"])
 def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     """As long as the file is the same."""
-    path, passes, measured = tmp_path / name, [], sources.measured
-    monkeypatch.setattr(sources, "measured", lambda header: passes.append(1) or measured(header))
+    path, passes, measure = tmp_path / name, [], sources.measure
+    monkeypatch.setattr(sources, "measure", lambda header: passes.append(1) or measure(header))
     for seed in (0, 1):
         make_las(path, 6, n=1000, seed=seed)
         for box in ((X, Y, X + 50, Y + 50), (X + 50, Y, X + 80, Y + 50)):
@@ -223,7 +223,7 @@ def test_points_that_the_header_denies(tmp_path, name, n):
     x1, x0, *rest = struct.unpack_from("<6d", path.read_bytes(), 179)
     for wrong in ((x0 + 50, x0), (x1, 0.0), (0.0,) * 6, (1e308, -1e308), (np.nan, x0), (x0, x1)):
         patch(path, "6d", 179, *wrong, *(x1, x0, *rest)[len(wrong) :])
-        with pytest.warns(jf.JaxfilterWarning, match=r"in\.la.: its header states the extent .*, which is used"):
+        with pytest.warns(jf.JaxfilterWarning, match=r"in\.la.: its header states the extent .*: their extent is used"):
             source = describe_file(path, points=True)
         assert source.bounds == pytest.approx(true, abs=1e-9)
     assert len(read_window(source, (X, Y, X + 1000, Y + 1000)).record) == n

@@ -419,10 +419,10 @@ def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
             if coded is not None:  # as text: CompoundCRS leaves out the code of the unit
                 return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{coded.to_wkt("WKT1_GDAL")}]')
     except pyproj.exceptions.CRSError:
-        warn(f"CRS {crs.name}: files of results cannot state it, they have no CRS")
+        warn(f"CRS {crs.name}: output files cannot state it, so they have no CRS")
         return None
     if (name := vertical(crs)) != vertical(flat):
-        warn(f"CRS {crs.name}: files of results cannot state its heights ({name}), they state {flat.name} only")
+        warn(f"CRS {crs.name}: output files cannot state its heights ({name}), so they state {flat.name} only")
     return flat
 
 

@@ -62,7 +62,7 @@ def read_points(
         if runs is None:
             runs = nodes(header, file) if header.is_copc and bounds is not None else Runs.of_file(header, file)
         for group in (runs if bounds is None else runs.meeting(bounds)).groups(CHUNK):
-            points, numbers = decoded(header, file, group, fields), group.records
+            points, numbers = decode(header, file, group, fields), group.records
             if bounds is not None:
                 if header.is_copc:
                     _check_cubes(header, group, points)
@@ -87,7 +87,7 @@ def _ends(runs: Runs, points: Points) -> np.ndarray:
     return np.stack([np.minimum.reduceat(ticks, at), np.maximum.reduceat(ticks, at)])
 
 
-def decoded(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
+def decode(header: Header, file: BinaryIO, runs: Runs, fields: laspy.DecompressionSelection) -> Points:
     """The points of some runs. As laspy's reader of COPC does it: its ``seek`` takes chunks of several sizes for equal ones
     (laspy 2.7, lazrs 0.8), and returns other points."""
     apart = np.flatnonzero(np.append(True, runs.start[1:] != (runs.start + runs.size)[:-1])[: len(runs.start)])
@@ -116,14 +116,14 @@ def dimensions_of(point_format: int) -> dict[str, int]:
     return {one.name: one.num_bits for one in laspy.PointFormat(point_format).dimensions}
 
 
-def measured(header: Header) -> tuple[Runs, np.ndarray]:
+def measure(header: Header) -> tuple[Runs, np.ndarray]:
     """The runs of records of a file with the areas that their points cover, and lowest and highest x, y, z of all, f64[2, 3]:
     by a pass over the file. Raises: InputError."""
     ends = [np.zeros((2, 0, 3), np.int32)]
     with reading_errors(header.path), header.open() as file:
         runs = Runs.of_file(header, file)
         for group in runs.groups(CHUNK):
-            ends.append(_ends(group, decoded(header, file, group, CLOUD)))
+            ends.append(_ends(group, decode(header, file, group, CLOUD)))
     low, high = np.concatenate(ends, axis=1) * header.scales + header.offsets
     extent = np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else np.full((2, 3), np.nan)
     return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
@@ -138,7 +138,7 @@ def sampled_points(header: Header, file: BinaryIO) -> Points:
         points[at] = np.minimum(found.points[at], part.stop - found.first[at])
     if not header.compressed:
         found = dataclasses.replace(found, size=points * header.record_length)
-    return decoded(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
+    return decode(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
 
 
 def sampled_extent(header: Header, file: BinaryIO, some: Points) -> np.ndarray:

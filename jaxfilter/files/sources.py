@@ -22,7 +22,7 @@ from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, s
 from .disk import Bounds, Identity
 from .guard import reading_errors
 from .header import Header
-from .points import ALL, CLOUD, Handle, Points, echo_keys, measured
+from .points import ALL, CLOUD, Handle, Points, echo_keys, measure
 from .reading import LasFile, is_text, kept_las
 from .runs import Runs, nodes
 from .storage import Place, Remote, place_of
@@ -92,7 +92,7 @@ def fingerprint(place: Place) -> str:
 def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) -> Source:
     """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
 
-    ``points``: look at some points as well, see :func:`examined`. An extent that nothing can have is replaced in any case.
+    ``points``: look at some points as well, see :func:`with_true_extent`. An impossible extent is replaced in any case.
 
     Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
     states another CRS. Warns: of a wrong extent.
@@ -124,7 +124,7 @@ def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) 
     return Source(str(place), count=count, **facts)
 
 
-def examined(source: Source) -> Source:
+def with_true_extent(source: Source) -> Source:
     """A source whose extent is that of its points, if some of them show that its header states another: the first of each chunk
     of LAZ, some of LAS, all of a small file. Remote files, and those that only a .vpc describes, are not looked at. Warns."""
     if source.format == "text" or not source.identity or not source.count or isinstance(source.place, Remote):
@@ -157,7 +157,7 @@ def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
         reached = (high - low <= 2 * (seen[1] - seen[0]) + slack)[:2].all()  # some points do not reach the edges
         if reached and (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all():
             return np.stack([low, high])
-    found = seen if small else measured(header)[1]
+    found = seen if small else measure(header)[1]
     if (far := abs(found) >= FARTHEST).any():
         axis = int(far.any(axis=0).argmax())
         words = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
@@ -165,7 +165,7 @@ def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
     margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
     if not ((abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()):
         words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in ((low, high), np.round(found, 3)))
-        warn(f"{header.path}: its header states the extent {words}, and its points lie in {true}, which is used")
+        warn(f"{header.path}: its header states the extent {words}, but its points lie in {true}: their extent is used")
     return found
 
 
@@ -274,4 +274,4 @@ def _runs(place: Place, identity: Identity) -> Runs:
     """``identity`` is that of the file now."""
     header = kept_las(place, tables=True).header
     with reading_errors(place), header.open() as file:
-        return nodes(header, file) if header.is_copc else measured(header)[0]
+        return nodes(header, file) if header.is_copc else measure(header)[0]

@@ -20,7 +20,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
-from ..files.sources import Source, describe_file, examined
+from ..files.sources import Source, describe_file, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -190,13 +190,13 @@ class Collection:
         states = self.crs is not None and len(self.crs.axis_info) > 1  # heights alone do not say it
         return not states and self.units == Units() and set(self._columns["format"]) != {"text"}
 
-    def examined(self) -> Collection:
+    def with_true_extents(self) -> Collection:
         """The same files, each with the extent of its points where some of them show that the header states another; see
-        :func:`jaxfilter.files.sources.examined`. Warns: of wrong extents."""
+        :func:`jaxfilter.files.sources.with_true_extent`. Warns: of wrong extents."""
         if len(self) < 2:
-            return Collection(map(examined, self), self.unreadable, self.repeated)
+            return Collection(map(with_true_extent, self), self.unreadable, self.repeated)
         with ThreadPoolExecutor(_THREADS) as pool:
-            return Collection(pool.map(examined, self), self.unreadable, self.repeated)
+            return Collection(pool.map(with_true_extent, self), self.unreadable, self.repeated)
 
     def clipped(self, box: Bounds) -> Collection:
         """The files that may hold points of a half-open box, with their bounds as far as it; all if they have no points.

@@ -41,7 +41,7 @@ def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collecti
         )
     if not collection.count:
         warn(f"{collection.name}: holds no points")
-    collection = collection.examined()
+    collection = collection.with_true_extents()
     if reading.aoi is not None:
         from .area import area_of
 
