@@ -144,15 +144,25 @@ def sampled_points(header: Header, file: BinaryIO) -> Points:
 def sampled_extent(header: Header, file: BinaryIO, some: Points) -> np.ndarray:
     """Lowest and highest x, y, z, f64[2, 3]: of ``some`` points, and of more of a large file on a disk, the first of each
     chunk of LAZ and every so many of LAS."""
-    ticks = integers(some)
+    xyz = coordinates(some, header)
     if len(some) < header.count and not isinstance(header.path, Remote):
-        start = len(header.head) + np.linspace(0, header.count - 1, 1000).astype(np.int64) * header.record_length
-        if header.compressed:
-            start, size, _ = chunk_table(header, file)
-            start = start[size > 12]
-        ticks = np.concatenate([ticks, pieces(header, file, start, 12).view("<i4")])
-    xyz = ticks * header.scales + header.offsets
+        xyz = np.concatenate([xyz, spread_points(header, file)])
     return np.stack([xyz.min(axis=0), xyz.max(axis=0)])
+
+
+def spread_points(header: Header, file: BinaryIO) -> np.ndarray:
+    """f64[n, 3], file units, of points from all over a file, found fast: the first of each chunk of LAZ, 1000 of LAS."""
+    start = len(header.head) + np.linspace(0, header.count - 1, 1000).astype(np.int64) * header.record_length
+    if header.compressed:
+        start, size, _ = chunk_table(header, file)
+        start = start[size > 12]
+    return pieces(header, file, start, 12).view("<i4") * header.scales + header.offsets
+
+
+def every_xy(header: Header, file: BinaryIO) -> Iterator[np.ndarray]:
+    """f64[n, 2], file units, of all points, :data:`CHUNK` about at a time."""
+    for group in Runs.of_file(header, file).groups(CHUNK):
+        yield coordinates(decode(header, file, group, CLOUD), header, 2)
 
 
 def echo_keys(points: Points, header: Header) -> np.ndarray:

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import functools
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,7 +23,7 @@ from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, s
 from .disk import Bounds, Identity
 from .guard import reading_errors
 from .header import Header
-from .points import ALL, CLOUD, Handle, Points, echo_keys, measure
+from .points import ALL, CLOUD, Handle, Points, echo_keys, every_xy, measure, spread_points
 from .reading import LasFile, is_text, kept_las
 from .runs import Runs, nodes
 from .storage import Place, Remote, place_of
@@ -31,6 +32,13 @@ from .text import TextFile, kept_text, open_text
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""
 _FILES = 64  # whose runs a process keeps
+SQUARE = 64.0
+"""Metres: side of the squares that tell where the points of a file lie."""
+_WIDE, _FEW, _FILLED = 1000.0, 16, 0.6
+"""Metres, about, of the side of a file whose points are looked at; samples that say too little; and the share of equal parts of
+the extent that have a sample if the points fill it."""
+Squares = tuple[np.ndarray, np.ndarray]
+"""i64[m, 2], column and row of squares that hold points, counted from zero of the coordinates; i64[m], how many points."""
 FARTHEST = 1e12  # units from zero that no coordinate reaches: the Earth in millimetres is smaller
 
 
@@ -133,6 +141,54 @@ def with_true_extent(source: Source) -> Source:
         (x0, y0, z0), (x1, y1, z1) = _extent_of(kept_las(source.place, True)).tolist()
         return dataclasses.replace(source, bounds=(x0, y0, x1, y1), z=(z0, z1))
     return source
+
+
+def squares_of(source: Source) -> Squares | None:
+    """Squares of :data:`SQUARE` metres that hold the points of a file, where these leave much of its extent empty, like a corridor
+    that runs across. None if they fill it, as far as some of them show, if it is small, or if it is remote or damaged."""
+    x0, y0, x1, y1 = source.bounds
+    if not source.count or max(x1 - x0, y1 - y0) * source.metre <= _WIDE:
+        return None
+    with contextlib.suppress(InputError):
+        if source.format == "text":
+            return counted_squares([kept_text(cast(Path, source.place)).xyz[:, :2]], SQUARE / source.metre)
+        if not source.identity or isinstance(source.place, Remote):
+            return None
+        header = kept_las(source.place, tables=True).header
+        _check_identity(source, header)
+        with reading_errors(source.uri), header.open() as file:
+            some = spread_points(header, file)[:, :2]
+            parts = min(16, math.isqrt(len(some) // 4))
+            if len(some) > _FEW:
+                part = np.clip((some - [x0, y0]) * parts / [x1 - x0, y1 - y0], 0, parts - 1).astype(int)
+                if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
+                    return None
+            return counted_squares(every_xy(header, file), SQUARE / source.metre)
+    return None
+
+
+def counted_squares(parts: Iterable[np.ndarray], side: float) -> Squares:
+    """The squares of points f64[n, 2], and how many each holds. Raises: InputError for an extent that is too large."""
+    squares, counts = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int64)]
+    for xy in parts:
+        square = np.floor(xy[np.isfinite(xy).all(axis=1)] / side).astype(np.int64)
+        _, first, count = np.unique(square_keys(square), return_index=True, return_counts=True)
+        squares.append(square[first])
+        counts.append(count)
+    square = np.concatenate(squares)
+    _, first, member = np.unique(square_keys(square), return_index=True, return_inverse=True)
+    return square[first], np.bincount(member, np.concatenate(counts), len(first)).astype(np.int64)
+
+
+def square_keys(square: np.ndarray) -> np.ndarray:
+    """i64[m], row by row: tells squares from others, i64[m, 2]. Raises: InputError for an extent that is too large."""
+    if not len(square):
+        return np.zeros(0, np.int64)
+    low = square.min(axis=0)
+    wide, tall = (square.max(axis=0) - low + 1).tolist()
+    if wide * tall >= 2**62:
+        raise InputError("points are too far from each other: remove stray points far from the rest")
+    return (square - low) @ np.array([1, wide])
 
 
 def _extent_of(las: LasFile) -> np.ndarray:

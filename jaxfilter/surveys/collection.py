@@ -20,7 +20,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
-from ..files.sources import Source, describe_file, with_true_extent
+from ..files.sources import Source, describe_file, squares_of, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from .findings import Findings, Footprints
+    from .plan import Where
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -231,6 +232,14 @@ class Collection:
         from .findings import Footprints
 
         return Footprints(self.footprints)
+
+    @functools.cached_property
+    def where(self) -> Where:
+        """Where the points lie. Raises: InputError as :attr:`units`."""
+        from .plan import Where
+
+        found = {n: squares for n, source in enumerate(self) if (squares := squares_of(source)) is not None}
+        return Where.from_files(self.footprints, self.counts, self.metre, found)
 
     def within(self, box: Bounds) -> np.ndarray:
         """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers.

@@ -1,6 +1,6 @@
-"""Tiles of a collection: which squares are filtered, and which files each of them reads and labels.
+"""Tiles of a collection: which boxes are filtered, and which files each of them reads and labels.
 
-Bounds and numbers of points are arrays over all tiles, so that a survey of many files is planned in seconds.
+Tiles follow the points: small where these lie dense, large where they are few, and none where there are none.
 """
 
 from __future__ import annotations
@@ -8,71 +8,141 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
+from ..files.sources import SQUARE, Squares, square_keys
 from .tiles import WHOLE
 
-MOST_TILES, _ROW = 20_000_000, 1 << 32
-_LARGEST_SIDE = 100_000.0  # metres
-_ROUNDS = 12
+POINTS = 7_000_000
+"""Points of core and halo of a tile, at most, unless halos hold too many of them."""
+MOST_READ = 2.5
+"""Times that a tile may be read in parts instead of in one piece, halos included, so that each part has fewer points."""
+MOST_TILES, _MOST_SQUARES = 20_000_000, 1_000_000
+SCATTERED, _NEAR = 4.0, 2000.0
+"""A tile is cut further if its points fill less than this part of it, and it is larger than a square of so many metres."""
 _ROUNDED = 0.01
-"""Units, and metres, by which bounds in headers may be off."""
-POINTS, HALOS = 5_000_000, 6
-"""Points of core and halo of a tile, and its width in halos, both sides included, at least: larger tiles save little."""
-_SCATTERED, _NEAR = 4.0, 2000.0
-"""Unless they lie in a box of more than so many times the area of the files, and larger than a square of so many metres."""
-
+"""Units by which bounds in headers may be off."""
 
 Lists = list[np.ndarray]
 """Numbers of files for each tile, or of tiles for each file, i64, ascending."""
 
 
-def _lists(owner: np.ndarray, member: np.ndarray, count: int) -> Lists:
-    """Of ``count`` owners, from pairs i64[p] of owner and member."""
-    order = np.lexsort((member, owner))
-    return np.split(member[order], np.searchsorted(owner[order], np.arange(1, count))) if count else []
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """What decides on tiles, in metres.
+
+    Attributes:
+        halo: how far around a tile points are read as well. lattice: tiles and windows end at multiples of it.
+        reach: how far around a tile files may be asked for, by default as far as the halo.
+        beyond: how far around points something is made.
+        boxes: the tiles themselves, f64[t, 2, 4], core and window of each, file units; then nothing else counts.
+    """
+
+    halo: float
+    lattice: float
+    reach: float | None = None
+    beyond: float = 0.0
+    boxes: np.ndarray | None = None
 
 
-def _turned(lists: Lists, count: int) -> Lists:
-    """Owners by member, for ``count`` members."""
-    owner = np.repeat(np.arange(len(lists)), [len(one) for one in lists])
-    return _lists(_together(lists), owner, count)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Where:
+    """Where the points of n files lie, by squares that hold some.
 
+    Attributes:
+        bounds: f64[n, 4], xmin, ymin, xmax, ymax of files, file units, all closed; counts: i64[n], points in each.
+        metre: metres per file unit in x and y.
+        low, high: f64[m, 2], corners of the squares, file units, as far as there are files. points: f64[m], about, in each.
+    """
 
-def _together(lists: Lists) -> np.ndarray:
-    return np.concatenate([np.zeros(0, np.int64), *lists])
+    bounds: np.ndarray
+    counts: np.ndarray
+    metre: float
+    low: np.ndarray
+    high: np.ndarray
+    points: np.ndarray
+
+    @classmethod
+    def from_files(
+        cls, bounds: np.ndarray, counts: np.ndarray, metre: float = 1.0, found: Mapping[int, Squares] | None = None
+    ) -> Where:
+        """``found``: squares of those files that are not filled by their points; others are taken to be filled evenly.
+
+        Raises: InputError for an extent that is too large.
+        """
+        known = found or {}
+        used = np.array([n for n in np.flatnonzero(counts > 0).tolist() if n not in known], np.int64)
+        box = bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
+        area = float((box[:, 2:] - box[:, :2]).prod(axis=1).sum()) * metre**2
+        larger = 2 ** max(0, math.ceil(math.log2(max(math.sqrt(area / _MOST_SQUARES) / SQUARE, 1.0))))
+        side = larger * SQUARE / metre
+        owner, square = _covered(box, np.array([side, side]))
+        corner = square * side
+        overlap = np.minimum(box[owner, 2:], corner + side) - np.maximum(box[owner, :2], corner)
+        held = (overlap / (box[owner, 2:] - box[owner, :2])).prod(axis=1) * counts[used[owner]]
+        parts = [(square, held), *((places // larger, points) for places, points in known.values())]
+        square = np.concatenate([one for one, _ in parts])
+        held = np.concatenate([points for _, points in parts])
+        first, member = np.unique(square_keys(square), return_index=True, return_inverse=True)[1:]
+        low = square[first] * side
+        filled = counts > 0
+        limits = np.array([-np.inf] * 4)
+        if filled.any():
+            limits = np.append(bounds[filled, :2].min(axis=0) - _ROUNDED, bounds[filled, 2:].max(axis=0) + _ROUNDED)
+        low, high = np.maximum(low - _ROUNDED, limits[:2]), np.minimum(low + side + _ROUNDED, limits[2:])
+        there = (low < high).all(axis=1)
+        return cls(bounds, counts, metre, low[there], high[there], np.bincount(member, held, len(first))[there])
+
+    def meeting(self, box: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Those of the squares i64[k] that a box, f64[4], meets."""
+        low, high = self.low[rows], self.high[rows]
+        return rows[((low < box[2:]) & (high > box[:2])).all(axis=1)]
+
+    def held(self, box: np.ndarray, rows: np.ndarray) -> float:
+        """Points, about, that the squares i64[k] have in a box, f64[4]."""
+        low, high = self.low[rows], self.high[rows]
+        share = (np.minimum(high, box[2:]) - np.maximum(low, box[:2])) / (high - low)
+        return float(self.points[rows] @ np.clip(share, 0, 1).prod(axis=1))
+
+    @property
+    def fills(self) -> bool:
+        """Whether the points fill their extent so far that they can be one tile, if they are few enough."""
+        return not len(self.points) or self.fill(np.arange(len(self.points)))
+
+    def fill(self, rows: np.ndarray) -> bool:
+        """Whether the squares i64[k] are a good part of the box around them, or this is small."""
+        low, high = self.low[rows], self.high[rows]
+        extent, squares = (high.max(axis=0) - low.min(axis=0)).prod(), (high - low).prod(axis=1).sum()
+        return bool(extent * self.metre**2 <= max(_NEAR**2, SCATTERED * squares * self.metre**2))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """Tiles: those of :func:`plan_tiles` are numbered from the south-west, row by row.
+    """Tiles, from the south to the north.
 
     Attributes:
-        width, height: of the cores, file units; halo: file units around a core that are read as well; lattice: file units;
-            windows end at multiples of it.
+        halo: metres around a core that are read as well.
         cores, windows: f64[t, 4], xmin, ymin, xmax, ymax of the tiles, file units, without and with the halo. Cores that adjoin
             have the same number for their common edge.
-        points: f64[t], expected in core and halo, by the densities of the files.
+        points: f64[t], expected in core and halo.
         near: per tile, the files that core and halo may meet; home: those that the core may meet.
         tiles_of: per file, the tiles that label it.
-        many: whether cores lie side by side in x, and in y; if in neither, the tile is all there is.
+        whole: whether the only tile is all there is.
     """
 
-    width: float
-    height: float
     halo: float
-    lattice: float
     cores: np.ndarray
     windows: np.ndarray
     points: np.ndarray
     near: Lists
     home: Lists
     tiles_of: Lists
-    many: tuple[bool, bool]
+    whole: bool
 
     def __len__(self) -> int:
         return len(self.cores)
@@ -84,11 +154,6 @@ class Plan:
     def window(self, number: int) -> Bounds:
         """The core and the halo around it, as far as the lattice."""
         return tuple(self.windows[number].tolist())  # type: ignore[return-value]
-
-    def largest(self) -> tuple[float, float]:
-        """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
-        more = 2 * (self.halo + self.lattice)
-        return self.width + more * self.many[0], self.height + more * self.many[1]
 
     def part(self, rows: np.ndarray) -> Plan:
         """With some of the tiles only, i64[k], ascending."""
@@ -108,29 +173,117 @@ class Plan:
         return found.hexdigest()
 
 
-def plan_boxes(bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> Plan:
-    """Tiles that lie anywhere. ``boxes``: f64[t, 2, 4], core and window of each, file units; ``bounds``, ``counts``: of files, as
-    in :func:`plan_tiles`."""
+def plan_tiles(where: Where, cut: Cut, side: float | None = None) -> Plan:
+    """Tiles over files. Nothing but where the points lie, the halo and the lattice decides on them, so that a run has the same
+    tiles on every machine.
+
+    Without a ``side``, a tile is halved until core and halo have :data:`POINTS` points or fewer, unless its parts would be read
+    :data:`MOST_READ` times; and until its points fill a part of 1 / :data:`SCATTERED` of it. Data of :data:`WHOLE` points or
+    fewer that fill their extent are one tile. ``side``: of cores, metres; then they are squares that end at multiples of it,
+    widened to a multiple of the lattice.
+
+    Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.
+    """
+    if not 0 <= cut.halo <= SIZES[1]:
+        raise ParameterError(f"halo={cut.halo!r}: must be metres >= 0")
+    if cut.boxes is not None:
+        return _plan(where, cut, cut.boxes[:, 0], cut.boxes[:, 1])
+    if side is not None:
+        check_positive(" of metres", tile=side)
+        cores = _squares_of(where, cut, side)
+    else:
+        cores = _halved(where, cut)
+    return _plan(where, cut, cores, _windows(cores, cut.halo / where.metre, cut.lattice / where.metre))
+
+
+def _plan(where: Where, cut: Cut, cores: np.ndarray, windows: np.ndarray) -> Plan:
+    """The plan of such cores that meet a file, f64[t, 4], and windows."""
     import shapely
 
-    used = np.flatnonzero(counts > 0)
-    tree = shapely.STRtree(shapely.box(*(bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]).T))
-    cores, windows = boxes[:, 0], boxes[:, 1]
-    pairs = [tree.query(shapely.box(*kind.T)) for kind in (cores, windows)]
-    home, near = (_lists(tile, used[file], len(boxes)) for tile, file in pairs)
-    width, height = (windows[:, 2:] - windows[:, :2]).max(axis=0).tolist()
-    points, turned = _expected(bounds, counts, windows, near), _turned(home, len(bounds))
-    return Plan(width, height, 0.0, 0.0, cores, windows, points, near, home, turned, (True, True))
+    used = np.flatnonzero(where.counts > 0)
+    files = shapely.STRtree(shapely.box(*(where.bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]).T))
+    squares = shapely.STRtree(shapely.box(*where.low.T, *where.high.T))
+
+    def meeting(boxes: np.ndarray, tree: shapely.STRtree, numbers: np.ndarray) -> Lists:
+        tile, member = tree.query(shapely.box(*boxes.T))
+        return _lists(tile, numbers[member], len(boxes))
+
+    home = meeting(cores, files, used)
+    if cut.boxes is None and not all(map(len, home)):
+        kept = np.array([len(one) > 0 for one in home])
+        cores, windows, home = cores[kept], windows[kept], [one for one in home if len(one)]
+    more = 0.0 if cut.reach is None else max(0.0, cut.reach - cut.halo) / where.metre
+    near = meeting(windows + [-more, -more, more, more], files, used)
+    inside = meeting(windows, squares, np.arange(len(where.points)))
+    points = np.array([where.held(window, rows) for window, rows in zip(windows, inside, strict=True)], np.float64)
+    one = len(cores) == 1 and cut.boxes is None
+    return Plan(cut.halo, cores, windows, points, near, home, _turned(home, len(where.bounds)), one)
 
 
-def _expected(bounds: np.ndarray, counts: np.ndarray, windows: np.ndarray, near: Lists) -> np.ndarray:
-    """f64[t]: points in windows, f64[t, 4], by the densities of the files that are near."""
-    tile, member = np.repeat(np.arange(len(near)), [len(one) for one in near]), _together(near)
-    file, shares = bounds[member], np.ones(len(tile))
-    for low, high in ((0, 2), (1, 3)):
-        overlap = np.minimum(file[:, high], windows[tile, high]) - np.maximum(file[:, low], windows[tile, low])
-        shares *= np.clip(overlap, 0, None) / np.maximum(file[:, high] - file[:, low], 1e-12)
-    return np.bincount(tile, shares * counts[member], minlength=len(near))
+def _squares_of(where: Where, cut: Cut, side: float) -> np.ndarray:
+    """f64[t, 4]: cores of one size, in rows. Raises: InputError for too many."""
+    step = cut.lattice * max(1, math.ceil(side / cut.lattice - 1e-9)) / where.metre
+    beyond = cut.beyond / where.metre
+    box = np.concatenate([where.low - beyond, where.high + beyond], axis=1)
+    square = _covered(box, np.array([step, step]))[1]
+    column, row = square[np.unique(square_keys(square), return_index=True)[1]].T
+    return np.stack([column, row, column + 1, row + 1], axis=1) * step
+
+
+def _halved(where: Where, cut: Cut) -> np.ndarray:
+    """f64[t, 4]: cores that are cut where their points are too many, or scattered."""
+    halo, lattice, beyond = (length / where.metre for length in (cut.halo, cut.lattice, cut.beyond))
+    if not len(where.points):
+        return np.zeros((0, 4))
+    few, cores = where.counts.sum() <= WHOLE, []
+    parts = [(np.array([-np.inf, -np.inf, np.inf, np.inf]), np.arange(len(where.points)))]
+    while parts:
+        core, rows = parts.pop()
+        own = where.meeting(core + np.array([-beyond, -beyond, beyond, beyond]), rows)
+        if not len(own):
+            continue
+        ends = np.append(where.low[own].min(axis=0) - beyond, where.high[own].max(axis=0) + beyond)
+        ends = np.append(np.floor(ends[:2] / lattice), np.ceil(ends[2:] / lattice)) * lattice
+        core = np.append(np.maximum(core[:2], ends[:2]), np.minimum(core[2:], ends[2:]))
+        window = _windows(core, halo, lattice)
+        near = where.meeting(window, rows)
+        dense, fills = not few and where.held(window, near) > POINTS, where.fill(near)
+        halves, read = [], math.inf
+        for axis in (0, 1) if dense or not fills else ():
+            pair = _halves(where, core, own, axis, (halo, lattice))
+            windows = _windows(np.array(pair).reshape(-1, 4), halo, lattice)
+            times = sum(where.held(one, where.meeting(one, near)) for one in windows)
+            if pair and times < read and (not fills or times <= MOST_READ * where.held(core, own)):
+                halves, read = pair, times
+        if halves:
+            parts += [(half, near) for half in halves]
+        else:
+            cores.append(core)
+    found = np.array(cores)
+    return found[np.lexsort((found[:, 0], found[:, 1]))]
+
+
+def _halves(
+    where: Where, core: np.ndarray, own: np.ndarray, axis: int, widths: tuple[float, float]
+) -> list[np.ndarray]:
+    """The two parts of a core, f64[4], that is cut across an axis: in the middle of the widest gap where this is wider than two
+    halos, else where each part has half of the points. None for a core that is too small. ``widths``: halo and lattice."""
+    halo, lattice = widths
+    order = np.argsort(where.low[own, axis], kind="stable")
+    low, high = where.low[own[order], axis], np.maximum.accumulate(where.high[own[order], axis])
+    gaps = low[1:] - high[:-1]
+    if len(gaps) and gaps.max() > 2 * (halo + lattice):
+        widest, least = int(gaps.argmax()), lattice
+        at = (low[widest + 1] + high[widest]) / 2
+    else:
+        sums = where.points[own[order]].cumsum()
+        at, least = low[np.searchsorted(sums, sums[-1] / 2)], max(lattice, 2 * halo)
+    first, last = core[axis] + least, core[axis + 2] - least
+    if first > last:
+        return []
+    before, after = core.copy(), core.copy()
+    before[axis + 2] = after[axis] = lattice * round(min(max(at, first), last) / lattice)
+    return [before, after]
 
 
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
@@ -144,109 +297,32 @@ def _windows(cores: np.ndarray, halo: float, lattice: float) -> np.ndarray:
     return np.concatenate([low, np.ceil((cores[..., 2:] + halo) / lattice - 1e-6)], axis=-1) * lattice
 
 
-def plan_tiles(
-    bounds: np.ndarray,
-    counts: np.ndarray,
-    *,
-    metre: float = 1.0,
-    halo: float = 0.0,
-    lattice: float = 1.0,
-    side: float | None = None,
-    reach: float | None = None,
-) -> Plan:
-    """Tiles over files, nearly square, all of one size, so that a whole number of them covers the data.
+def _covered(box: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[p], i64[p, 2]: all pairs of a box f64[k, 4] and a square of such sides that it meets, by column and row.
 
-    Nothing but the files, the halo and the lattice decides on them, so that a run has the same tiles on every machine. Without
-    a ``side``, core and halo have about :data:`POINTS` points, by the densities of the files, but are at least
-    :data:`HALOS` halos wide; data of :data:`WHOLE` points or fewer are one tile.
-
-    Args:
-        bounds: f64[n, 4] of files: xmin, ymin, xmax, ymax, file units, all closed; counts: i64[n], points in each.
-        metre: metres per file unit in x and y.
-        halo: metres. lattice: metres; windows and cores end at multiples of it.
-        side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``lattice``.
-        reach: metres around a core in which files are near it, by default the halo.
-
-    Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.
+    Raises: InputError for too many.
     """
-    if not 0 <= halo <= SIZES[1]:
-        raise ParameterError(f"halo={halo!r}: must be metres >= 0")
-    used = np.flatnonzero(counts > 0)
-    units = (halo / metre, lattice / metre, (halo if reach is None else reach) / metre)
-    if not len(used):
-        return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), units)
-    low, high = (pick(bounds[used][:, axes], axis=0) for pick, axes in ((np.min, [0, 1]), (np.max, [2, 3])))
-    if side is not None:
-        check_positive(" of metres", tile=side)
-        step = lattice * max(1, math.ceil(side / lattice - 1e-9)) / metre
-        return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), units)
-    unit = lattice / metre
-    origin = unit * np.floor((low - _ROUNDED / metre) / unit)
-    extent = (high - origin) * metre + _ROUNDED
-    area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
-    if counts.sum() <= WHOLE and np.prod(extent) <= max(_SCATTERED * area, _NEAR**2):
-        return _tiles(bounds, counts, used, tuple(origin), tuple(unit * np.ceil(extent / lattice + 1e-6)), units)
-    density = float(counts[used].sum()) / max(area, 1.0)
-    most_points = max(POINTS, density * (HALOS * halo) ** 2)
-    least = max(lattice, halo)
-    guess = max(least, min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()), _LARGEST_SIDE))
-    for _ in range(_ROUNDS):
-        sides = unit * np.ceil(extent / np.ceil(extent / guess) / lattice + 1e-6)
-        plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), units)
-        most = float(plan.points.max(initial=0.0))
-        if most <= most_points or guess <= least:
-            break
-        guess = max(least, 0.95 * ((guess + 2 * halo) * math.sqrt(most_points / most) - 2 * halo))
-    return plan
-
-
-def _tiles(
-    bounds: np.ndarray,
-    counts: np.ndarray,
-    used: np.ndarray,
-    origin: tuple[float, ...],
-    sides: tuple[float, ...],
-    widths: tuple[float, float, float],
-) -> Plan:
-    """The plan of cores of such sides; all lengths in file units. ``used``: i64[k], the files with points; ``widths``: halo,
-    lattice, and how far away files are near."""
-    halo, lattice, reach = widths
-    start, size = np.tile(np.array(origin), 2), np.array(sides)
-    slack = min(1e-6 * size.min(), _ROUNDED / 2)
-    box = bounds[used] - start + [-slack, -slack, slack, slack]
-    key, file = _covered(box, used, size)
-    tiles = np.unique(key)
-    home = _lists(np.searchsorted(tiles, key), file, len(tiles))
-    row = (tiles + _ROW // 2) // _ROW
-    cell = np.stack([tiles - row * _ROW, row], axis=1)
-    wide = reach + lattice
-    key, file = _covered(box + [-wide, -wide, wide, wide], used, size)
-    at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
-    kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
-    near = _lists(at[kept], file[kept], len(tiles))
-    cores = start + np.concatenate([cell, cell + 1], axis=1) * np.tile(size, 2)
-    points = _expected(bounds, counts, cores + [-halo, -halo, halo, halo], near)
-    (width, height), turned = size.tolist(), _turned(home, len(bounds))
-    many = tuple((np.ptp(cell, axis=0) > 0).tolist()) if len(cell) else (False, False)
-    windows = _windows(cores, halo, lattice)
-    return Plan(width, height, halo, lattice, cores, windows, points, near, home, turned, many)
-
-
-def _covered(box: np.ndarray, used: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[p], i64[p]: all pairs of a cell of f64[2] sides, row times :data:`_ROW` and column, and a file whose box, f64[k, 4], it
-    meets; ``used``: its number.
-
-    Raises: InputError for too many pairs.
-    """
-    low, high = (np.floor(box[:, ends] / size).astype(np.int64) for ends in ([0, 1], [2, 3]))
-    wide, tall = (high - low + 1).T
-    pairs = wide * tall
-    if len(pairs) and (pairs.sum() > 2 * MOST_TILES or max(-low.min(), high.max()) >= _ROW // 2):
+    low, high = np.floor(box[:, :2] / side), np.floor(box[:, 2:] / side)
+    pairs = (high - low + 1).prod(axis=1)
+    if len(pairs) and pairs.sum() > 2 * MOST_TILES:
         raise InputError(
-            f"tiles of {size[0]:g} x {size[1]:g} units make {int(pairs.sum()):,} of them, and one file alone covers "
+            f"tiles of {side[0]:g} x {side[1]:g} units make {int(pairs.sum()):,} of them, and one file alone covers "
             f"{int(pairs.max()):,}: pass tile= with more, or remove stray points far from the rest"
         )
-    owner = np.repeat(np.arange(len(used)), pairs)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    wide, count = (high - low + 1)[:, 0].astype(np.int64), pairs.astype(np.int64)
+    owner = np.repeat(np.arange(len(box)), count)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     row, column = np.divmod(step, wide[owner])
-    return (low[owner, 1] + row) * _ROW + low[owner, 0] + column, used[owner]
+    return owner, low[owner].astype(np.int64) + np.stack([column, row], axis=1)
+
+
+def _lists(owner: np.ndarray, member: np.ndarray, count: int) -> Lists:
+    """Of ``count`` owners, from pairs i64[p] of owner and member."""
+    order = np.lexsort((member, owner))
+    return np.split(member[order], np.searchsorted(owner[order], np.arange(1, count))) if count else []
+
+
+def _turned(lists: Lists, count: int) -> Lists:
+    """Owners by member, for ``count`` members."""
+    owner = np.repeat(np.arange(len(lists)), [len(one) for one in lists])
+    return _lists(np.concatenate([np.zeros(0, np.int64), *lists]), owner, count)

@@ -21,6 +21,7 @@ from ..files.sources import Source, file_cloud
 from ..files.storage import Place
 from .collection import Collection
 from .options import RunOptions
+from .plan import Cut
 from .report import RunReport, Summary, collected_warnings
 from .targets import Targets
 from .tiles import Around, Memory, Tile
@@ -43,18 +44,6 @@ class FileTask:
     tiles: tuple[int, ...]
     target: Place
     how: dict[str, Any]
-
-
-@dataclasses.dataclass(frozen=True)
-class Cut:
-    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
-    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
-    themselves, f64[t, 2, 4], see :func:`jaxfilter.surveys.plan.plan_boxes`."""
-
-    halo: float
-    lattice: float
-    reach: float | None = None
-    boxes: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,8 +34,8 @@ from .collection import Collection
 from .executors import Executor, Outcome, Task, carried_out
 from .measures import Recipe, Sampler, middle, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
-from .plan import Plan, plan_boxes, plan_tiles
-from .product import Cut, FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
+from .plan import Cut, Plan, plan_tiles
+from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
 from .report import Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .survey import Survey
@@ -109,8 +109,9 @@ class TiledSurvey(Survey):
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
             product, plan = dataclasses.replace(self, targets=targets)._planned(kind, settings)
             each = _seconds_per_point(product, plan, collection)
-        many, times, workers = any(plan.many), plan.times_read(collection.count), workers_for(options, plan)
-        side, halo = (plan.width * collection.metre, plan.halo * collection.metre) if many else (nan, nan)
+        many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan)
+        area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1)) if many and len(plan) else nan
+        side, halo = (math.sqrt(area) * collection.metre, plan.halo) if many else (nan, nan)
         memory = need(plan) * (workers if many else 1)
         seconds = each * collection.count * times / min(workers, len(plan))
         files = [str(place) for place in targets.places]
@@ -121,26 +122,14 @@ class TiledSurvey(Survey):
         """What is to be made, and of which tiles."""
         filter_, whole = self._filter()
         product = kind(self.reading, whole, Store(self.targets.store.path), filter_, self.options.halo, **settings)
-        plan = self._plan(product.cut())
-        if whole is not None and any(plan.many):
-            width, height = (side * self.collection.metre for side in plan.largest())
-            product = dataclasses.replace(product, whole=dataclasses.replace(whole, width=width, height=height))
-        return product, plan
+        return product, self._plan(product.cut())
 
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
+        plan = plan_tiles(files.where, cut, options.tile)
         if cut.boxes is not None:
-            return plan_boxes(files.footprints, files.counts, cut.boxes)
-        plan = plan_tiles(
-            files.footprints,
-            files.counts,
-            metre=files.metre,
-            halo=cut.halo,
-            lattice=cut.lattice,
-            side=options.tile,
-            reach=cut.reach,
-        )
+            return plan
         if self.reading.aoi is not None:
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
         check_memory(options, float(plan.points.max(initial=0.0)))
@@ -164,7 +153,7 @@ class TiledSurvey(Survey):
             found = facts["parameters"]
             return FILTERS[found["method"]](**found["fields"]), whole
         filter_ = recipe.alone()
-        if self.options.tile is None and self.collection.count <= WHOLE:
+        if self.options.tile is None and self.collection.count <= WHOLE and self.collection.where.fills:
             if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
                 used = tuple(np.flatnonzero(self.collection.counts).tolist())
                 sources = tuple(self.collection[number] for number in used)
@@ -179,8 +168,7 @@ class TiledSurvey(Survey):
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
         store = self.targets.store
-        tiles = {name: getattr(plan, name) for name in ("width", "height", "halo")}
-        tiles |= {"number": len(plan), "digest": plan.digest()}
+        tiles = {"halo": plan.halo, "number": len(plan), "digest": plan.digest()}
         store.begin({"version": __version__, "inputs": self._digest(), **self._asked(product), "tiles": tiles})
         if "parameters" not in store.facts and product.filter is not None:
             fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
@@ -464,6 +452,6 @@ def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = Fal
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
     sources = tuple(collection[f] for f in files)
-    if not any(plan.many):
+    if plan.whole:
         return Tile(number, None, None, files, sources, patient)
     return Tile(number, plan.core(number), plan.window(number), files, sources, patient)

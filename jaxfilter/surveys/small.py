@@ -32,7 +32,8 @@ def carry_out(survey: Survey, kind: type[Product], **settings: Any) -> Any:
     for source, place in zip(files, survey.targets.places, strict=False):
         if is_copc(place) and source.point_format is not None:
             check_format(place, source.point_format)
-    if len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run:
+    small = len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run
+    if small and files.where.fills:
         return in_memory(survey, kind, settings)
     from .run import in_tiles
 
