@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -181,24 +180,25 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
 
 
 def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Arrays of the core of a tile, file by file: records i64[k] (or the first of k in succession), labels u8[k], and
-    quantities f[k].
+    """Arrays of the core of a tile, file after file.
+
+    ``label``: u8[k]; ``record``: i64[r], those of the file, or the first of k in succession; ``part``: i64[f, 4], a row for each
+    file: its number, labels, records, and points that are left out since another file has them; and quantities f[k].
 
     ``found``: of all points of the tile; ``quantities``: f[k], of those of the core.
     """
-    arrays = {f"repeated_{one}": np.array(count) for one, count in around.repeated.items()}
     own = around.own
     label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | found.ground[own] * np.uint8(GROUND)
     label |= found.code[own] << np.uint8(_CODE)
-    file = around.file[own]  # ascending
-    edges = [*np.flatnonzero(np.diff(file, prepend=-1)).tolist(), len(own)]
-    for start, stop in itertools.pairwise(edges):
-        one, record = file[start], around.record[own[start:stop]]
-        if record[-1] - record[0] == len(record) - 1:
-            record = record[:1]  # the first of all that follow it
-        arrays[f"record_{one}"], arrays[f"label_{one}"] = record, label[start:stop]
-        arrays |= {f"{name}_{one}": values[start:stop] for name, values in quantities.items()}
-    return arrays
+    file, record = around.file[own], around.record[own]  # files are ascending
+    parts, records = [], [np.zeros(0, np.int64)]
+    for one in sorted({*file[np.flatnonzero(np.diff(file, prepend=-1))].tolist(), *around.repeated}):
+        rows = record[slice(*np.searchsorted(file, (one, one + 1)))]
+        in_succession = len(rows) > 0 and rows[-1] - rows[0] == len(rows) - 1
+        records.append(rows[:1] if in_succession else rows)
+        parts.append((one, len(rows), len(records[-1]), around.repeated.get(one, 0)))
+    part = np.array(parts, np.int64).reshape(-1, 4)
+    return {"label": label, "record": np.concatenate(records), "part": part, **quantities}
 
 
 def found_in(label: np.ndarray) -> Found:
@@ -214,12 +214,17 @@ def gathered(store: Memory, task: FileTask, kinds: Mapping[str, type]) -> tuple[
     quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = store.arrays(number)
-        repeated += int(stored.get(f"repeated_{task.number}", 0))
-        if f"record_{task.number}" not in stored:
+        if "part" not in stored:
             continue
-        found, record = stored[f"label_{task.number}"], stored[f"record_{task.number}"]
-        rows = record if len(record) == len(found) else slice(record[0], record[0] + len(found))
-        label[rows] = found | np.uint8(_STORED)
+        row = int(np.searchsorted(stored["part"][:, 0], task.number))
+        if row == len(stored["part"]) or stored["part"][row, 0] != task.number:
+            continue
+        repeated += int(stored["part"][row, 3])
+        ends = stored["part"][: row + 1, 1:3].cumsum(axis=0)
+        (start, first), (stop, last) = ends[-1] - stored["part"][row, 1:3], ends[-1]
+        record = stored["record"][first:last]
+        rows = slice(record[0], record[0] + stop - start) if len(record) == 1 else record
+        label[rows] = stored["label"][start:stop] | np.uint8(_STORED)
         for name, values in quantities.items():
-            values[rows] = stored[f"{name}_{task.number}"]
+            values[rows] = stored[name][start:stop]
     return label, quantities, repeated

@@ -10,6 +10,7 @@ In place, ``done.json`` says that all outputs are written, and which files take 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import os
@@ -164,10 +165,10 @@ class Store(Memory):
         damaged."""
         path = self.tile(number)
         try:
-            with np.load(path) as stored:
-                return {name: stored[name] for name in (stored if names is None else names) if name in stored}
+            found = _loaded(path, path.stat().st_mtime_ns)
         except (*DAMAGED, EOFError, zipfile.BadZipFile) as error:
             raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again") from error
+        return found if names is None else {name: found[name] for name in names if name in found}
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""
@@ -232,6 +233,14 @@ class Store(Memory):
                 os.replace(part, path)
             finally:
                 part.unlink(missing_ok=True)
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded(path: Path, changed: int) -> dict[str, np.ndarray]:
+    """The arrays of the file of a tile. A process keeps the last ones: a tile may label a thousand files, one after the other.
+    Raises: OSError, ValueError, EOFError, BadZipFile."""
+    with np.load(path) as stored:
+        return dict(stored)
 
 
 def _read_json(path: Path) -> dict[str, Any]:
