@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import json
+import math
 import multiprocessing
 import os
 import re
@@ -22,7 +23,7 @@ import jaxfilter as jf
 from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
+from jaxfilter.surveys.plan import POINTS, WHOLE, Cut, Where, plan_tiles
 from jaxfilter.surveys.report import RunReport
 from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names
@@ -695,13 +696,12 @@ def boxes(n=60, seed=0):
     return np.round(bounds, 2), counts
 
 
-@pytest.mark.parametrize("how", [
-    {"halo": 35.0, "lattice": 10.0}, {"halo": 0.0}, {"halo": 60.0, "lattice": 7.0},
-    {"halo": 100.0, "lattice": 1.0, "side": 333.0, "metre": 0.3048},
+@pytest.mark.parametrize("metre, side, cut", [
+    (1.0, None, Cut(35.0, 10.0)), (1.0, None, Cut(0.0, 1.0)), (1.0, None, Cut(60.0, 7.0)), (0.3048, 333.0, Cut(100.0, 1.0)),
 ])  # fmt: skip
-def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
+def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(metre, side, cut):
     bounds, counts = boxes()
-    plan = plan_tiles(bounds, counts, **{"metre": 1.0, **how})
+    plan = plan_tiles(Where.from_files(bounds, counts, metre), cut, side)
     cores = np.array([plan.core(t) for t in range(len(plan))])
     windows = np.array([plan.window(t) for t in range(len(plan))])
     rng = np.random.default_rng(1)
@@ -714,42 +714,57 @@ def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
         meets = (windows[:, :2] <= (x1, y1)).all(axis=1) & (windows[:, 2:] > (x0, y0)).all(axis=1)
         near = np.array([file in plan.near[t] for t in range(len(plan))])
         assert (near >= meets).all() and all(file in plan.home[t] for t in plan.tiles_of[file])
-    metre, lattice = how.get("metre", 1.0), how.get("lattice", 1.0)
-    halo = how["halo"] / metre
-    steps = windows * metre / lattice
+    halo, steps = cut.halo / metre, windows * metre / cut.lattice
     assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
     around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
-    assert (around >= halo - 1e-4).all() and (around < halo + lattice / metre + 1e-4).all()
-    if "side" not in how:
-        density = counts.sum() / ((bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1]))[counts > 0].sum()
-        assert len(plan) > 1 and plan.points.max() <= max(POINTS, density * (HALOS * how["halo"]) ** 2)
-    width, height = plan.largest()
-    sides = windows[:, 2:] - windows[:, :2]
-    assert (sides <= np.array([width, height]) + 1e-4).all()
+    assert (around >= halo - 1e-4).all() and (around < halo + cut.lattice / metre + 1e-4).all()
+    assert len(plan) > 1 and (side is not None or plan.points.max() <= 1.1 * POINTS)
+    if side is None and not cut.halo:
+        assert plan.times_read(counts.sum()) == pytest.approx(1, abs=0.01)
 
 
-def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
-    bounds = np.array([[5.0, 5.0, 1000.0, 1000.0]])
-    assert len(plan_tiles(bounds, np.array([WHOLE]), halo=0.0, lattice=10.0)) == 1
-    assert len(plan_tiles(bounds, np.array([WHOLE + 1]), halo=0.0, lattice=10.0)) == 4
-    assert len(plan_tiles(bounds, np.array([4 * POINTS - POINTS // 5]), halo=0.0, lattice=10.0)) == 4
+def test_data_of_few_points_are_one_tile_and_larger_ones_are_cut_where_they_are_dense():
+    """Two files of a square kilometre with 2 and 12 points per m2: only the second is cut."""
+    bounds, cut = np.array([[0.0, 0, 1000, 1000], [1000.0, 0, 2000, 1000]]), Cut(20.0, 10.0)
+    assert plan_tiles(Where.from_files(bounds[:1], np.array([WHOLE])), cut).whole
+    plan = plan_tiles(Where.from_files(bounds, np.array([2_000_000, 12_000_000])), cut)
+    assert len(plan) == 3 and plan.points.max() <= POINTS and plan.times_read(14_000_000) < 1.1
+    west = plan.cores[plan.cores[:, 0] < 900]
+    assert len(west) == 1 and west[0, 2] >= 900
 
 
 @pytest.mark.parametrize("apart, tiles", [(500.0, 1), (50_000.0, 2)])
 def test_files_far_from_each_other_are_no_single_tile(apart, tiles):
     """Of few points, in boxes of 250 m."""
     low = np.array([[3e5, -4e6], [3e5 + apart, -4e6 + apart]])
-    plan = plan_tiles(np.concatenate([low, low + 250], axis=1), np.full(2, 10**6), metre=1.0, halo=100.0)
-    assert len(plan) == tiles and plan.points.sum() == 2 * 10**6
-    assert max(plan.width, plan.height) < 2000
+    where = Where.from_files(np.concatenate([low, low + 250], axis=1), np.full(2, 10**6))
+    plan = plan_tiles(where, Cut(100.0, 1.0))
+    assert len(plan) == tiles and plan.points.sum() == pytest.approx(2 * 10**6)
+    assert (plan.cores[:, 2:] - plan.cores[:, :2]).max() < 2000
+
+
+def test_tiles_of_a_corridor_that_runs_across_lie_along_it(tmp_path):
+    """2 km long and 40 m wide: a box around all of it would be 25 times as large. Labels are those of the whole cloud."""
+    rng = np.random.default_rng(5)
+    along, across = rng.uniform(0, 2000, 30_000), rng.uniform(0, 40, 30_000)
+    xy = np.stack([along - across, along + across], axis=1) / math.sqrt(2)
+    xyz = np.column_stack([xy, 5 * np.sin(along / 80) + (rng.random(30_000) < 0.2) * 4]).round(2)
+    las_of(tmp_path / "in.las", xyz)
+    pmf, metres = jf.PMF(max_window=10.0, low_clusters=False), jf.Reading(units="m")
+    report = jf.ground(tmp_path / "in.las", tmp_path / "out.las", pmf, reading=metres)
+    assert report.complete and report.tiles > 1
+    cores = report.cores[:, 2:] - report.cores[:, :2]
+    assert cores.prod(axis=1).sum() < 0.5 * np.ptp(xyz[:, :2], axis=0).prod()
+    whole = pmf.replace(cell=pmf.cell)(jf.read(tmp_path / "in.las", units="m")).ground
+    np.testing.assert_array_equal(np.asarray(laspy.read(tmp_path / "out.las").classification) == 2, whole)
 
 
 def test_what_cannot_be_planned_is_refused():
-    bounds, counts = np.array([[0.0, 0, 1000, 1000]]), np.array([10**9])
+    where = Where.from_files(np.array([[0.0, 0, 1000, 1000]]), np.array([10**9]))
     with pytest.raises(jf.ParameterError, match="halo=inf"):
-        plan_tiles(bounds, counts, halo=np.inf)
+        plan_tiles(where, Cut(np.inf, 1.0))
     with pytest.raises(jf.ParameterError, match=r"tile=0\.0"):
-        plan_tiles(bounds, counts, metre=1.0, halo=0.0, side=0.0)
+        plan_tiles(where, Cut(0.0, 1.0), 0.0)
     with pytest.raises(jf.InputError, match="stray points"):
-        plan_tiles(np.array([[0.0, 0, 1e7, 1e7]]), np.array([10]), metre=1.0, halo=0.0, side=1.0)
-    assert len(plan_tiles(np.full((1, 4), np.nan), np.array([0]), metre=1.0, halo=10.0)) == 0
+        plan_tiles(Where.from_files(np.array([[0.0, 0, 1e7, 1e7]]), np.array([10])), Cut(0.0, 1.0), 1.0)
+    assert len(plan_tiles(Where.from_files(np.full((1, 4), np.nan), np.array([0])), Cut(10.0, 1.0))) == 0

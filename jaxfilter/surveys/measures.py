@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -99,28 +100,36 @@ class Sampler:
     reading: Reading
 
     def clouds(self, each: int = _POINTS, most: int = 0) -> list[PointCloud]:
-        """Windows in the middle of files that are spread evenly over the points, with about ``each`` points, of at least two.
+        """Windows of about ``each`` points, which are spread evenly over the points, of at least two.
 
-        A collection of ``most`` points or fewer is its own sample, in one piece, however few they are. Files that cannot be
-        read are passed over.
+        A collection of ``most`` points or fewer that fill its extent is its own sample, in one piece, however few they are.
+        Files that cannot be read are passed over.
         """
-        collection = self.collection
-        if not collection.count:
+        where, total = self.collection.where, self.collection.count
+        if not len(where.points):
             return []
-        entire, total = collection.count <= most, collection.counts.cumsum()
-        shares = (np.arange(_WINDOWS) + 0.5) / _WINDOWS * total[-1]
-        picked = np.flatnonzero(collection.counts) if entire else np.searchsorted(total, shares, side="right")
+        if total <= most and where.fills:
+            return [joined(self._read(None, range(len(self.collection))))]
+        sums = where.points.cumsum()
+        squares = np.searchsorted(sums, (np.arange(_WINDOWS) + 0.5) / _WINDOWS * sums[-1])
         clouds = []
-        for number in dict.fromkeys(picked.tolist()):
-            source = collection[number]
-            box = None if entire else middle(source.bounds, each / source.count, source.metre)
-            try:
-                window = read_window(source, box, self.reading)
-            except InputError:
-                continue  # the run names it
-            if entire or len(canonical_points(window.cloud)) > 1:
+        for square in dict.fromkeys(squares.tolist()):
+            low, high = where.low[square], where.high[square]
+            middle, side = (low + high) / 2, math.sqrt(each / where.points[square] * (high - low).prod())
+            box: Bounds = (*(middle - side / 2).tolist(), *(middle + side / 2).tolist())  # type: ignore[assignment]
+            found = self._read(box, self.collection.within(box).tolist())
+            if found and len(canonical_points(window := joined(found))) > 1:
+                clouds.append(window)
+        return clouds
+
+    def _read(self, box: Bounds | None, files: Iterable[int]) -> list[PointCloud]:
+        """The points of files in a box; what cannot be read is named by the run."""
+        clouds = []
+        for number in files:
+            with contextlib.suppress(InputError):
+                window = read_window(self.collection[number], box, self.reading)
                 clouds.append(dataclasses.replace(window.cloud, source=None))
-        return [joined(clouds)] if entire and clouds else clouds
+        return clouds
 
     @functools.cached_property
     def sample(self) -> tuple[list[PointCloud], Whole]:
@@ -146,7 +155,7 @@ class Sampler:
         whole = self.sample[1]
 
         def some(points: int) -> list[PointCloud]:
-            entire = self.collection.count <= min(points, _SMALL)
+            entire = self.collection.count <= min(points, _SMALL) and self.collection.where.fills
             clouds = self.sample[0] if entire else self.clouds(points // _WINDOWS, points)
             return [dataclasses.replace(cloud, whole=whole) for cloud in clouds]
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import ParameterError
 from ..core.filter import check_resources
 from ..core.result import Progress, silent
+from .tiles import WHOLE
 
 if TYPE_CHECKING:
     from .executors import Executor
@@ -75,7 +76,8 @@ class RunOptions:
 
 
 def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:
-    """What does the work: what is given, a cluster, this process, or several. ``progress``: of filters in this process.
+    """What does the work: what is given, a cluster, this process, or several, which begin slower than a tile of few points ends.
+    ``progress``: of filters in this process.
 
     Raises: JaxfilterError if workers cannot be started.
     """
@@ -87,8 +89,8 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
         from .dask import Cluster
 
         return Cluster(options.client)
-    count = workers_for(options, plan)
-    if count > 1 and len(plan) > 1:
+    count, small = workers_for(options, plan), options.workers is None and plan.points.sum() <= WHOLE
+    if count > 1 and len(plan) > 1 and not small:
         return Pool(count)
     return Here(options.workers, progress)
 

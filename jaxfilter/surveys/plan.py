@@ -23,10 +23,10 @@ POINTS = 7_000_000
 MOST_READ = 2.5
 """Times that a tile may be read in parts instead of in one piece, halos included, so that each part has fewer points."""
 MOST_TILES, _MOST_SQUARES = 20_000_000, 1_000_000
-SCATTERED, _NEAR = 4.0, 2000.0
-"""A tile is cut further if its points fill less than this part of it, and it is larger than a square of so many metres."""
-_ROUNDED = 0.01
-"""Units by which bounds in headers may be off."""
+SCATTERED, _NEAR = 4.0, 1000.0
+"""A tile is cut further if it is so many times as large as what its points fill, and larger than a square of so many metres."""
+_ROUNDED, _SLACK = 0.01, 0.005
+"""Units by which bounds in headers may be off, and by which coordinates are rounded at most."""
 
 Lists = list[np.ndarray]
 """Numbers of files for each tile, or of tiles for each file, i64, ascending."""
@@ -93,7 +93,7 @@ class Where:
         filled = counts > 0
         limits = np.array([-np.inf] * 4)
         if filled.any():
-            limits = np.append(bounds[filled, :2].min(axis=0) - _ROUNDED, bounds[filled, 2:].max(axis=0) + _ROUNDED)
+            limits = np.append(bounds[filled, :2].min(axis=0) - _SLACK, bounds[filled, 2:].max(axis=0) + _SLACK)
         low, high = np.maximum(low - _ROUNDED, limits[:2]), np.minimum(low + side + _ROUNDED, limits[2:])
         there = (low < high).all(axis=1)
         return cls(bounds, counts, metre, low[there], high[there], np.bincount(member, held, len(first))[there])
@@ -247,16 +247,18 @@ def _halved(where: Where, cut: Cut) -> np.ndarray:
         core = np.append(np.maximum(core[:2], ends[:2]), np.minimum(core[2:], ends[2:]))
         window = _windows(core, halo, lattice)
         near = where.meeting(window, rows)
-        dense, fills = not few and where.held(window, near) > POINTS, where.fill(near)
+        held, fills = where.held(window, near), where.fill(near)
+        dense = held > POINTS and not few
         halves, read = [], math.inf
         for axis in (0, 1) if dense or not fills else ():
-            pair = _halves(where, core, own, axis, (halo, lattice))
+            pair = _halves(where, core, own, axis, (halo, lattice, math.ceil(held / POINTS) if dense else 0))
             windows = _windows(np.array(pair).reshape(-1, 4), halo, lattice)
             times = sum(where.held(one, where.meeting(one, near)) for one in windows)
             if pair and times < read and (not fills or times <= MOST_READ * where.held(core, own)):
                 halves, read = pair, times
         if halves:
-            parts += [(half, near) for half in halves]
+            wide = max(beyond, halo + lattice)
+            parts += [(half, where.meeting(core + np.array([-wide, -wide, wide, wide]), rows)) for half in halves]
         else:
             cores.append(core)
     found = np.array(cores)
@@ -264,25 +266,26 @@ def _halved(where: Where, cut: Cut) -> np.ndarray:
 
 
 def _halves(
-    where: Where, core: np.ndarray, own: np.ndarray, axis: int, widths: tuple[float, float]
+    where: Where, core: np.ndarray, own: np.ndarray, axis: int, how: tuple[float, float, int]
 ) -> list[np.ndarray]:
-    """The two parts of a core, f64[4], that is cut across an axis: in the middle of the widest gap where this is wider than two
-    halos, else where each part has half of the points. None for a core that is too small. ``widths``: halo and lattice."""
-    halo, lattice = widths
+    """Two parts of a core, f64[4], that is cut across an axis: in the middle of the widest gap where this is wider than two
+    halos, else so that ``parts`` of as many points become of it, or, for 0, in the middle. None for a core that is too small.
+    ``how``: halo, lattice, parts."""
+    halo, lattice, parts = how
     order = np.argsort(where.low[own, axis], kind="stable")
     low, high = where.low[own[order], axis], np.maximum.accumulate(where.high[own[order], axis])
-    gaps = low[1:] - high[:-1]
+    gaps, side = low[1:] - high[:-1], core[axis + 2] - core[axis]
     if len(gaps) and gaps.max() > 2 * (halo + lattice):
-        widest, least = int(gaps.argmax()), lattice
-        at = (low[widest + 1] + high[widest]) / 2
-    else:
+        at, least = (low[1:] + high[:-1])[gaps.argmax()] / 2, lattice
+    elif parts:
         sums = where.points[own[order]].cumsum()
-        at, least = low[np.searchsorted(sums, sums[-1] / 2)], max(lattice, 2 * halo)
-    first, last = core[axis] + least, core[axis + 2] - least
-    if first > last:
+        at, least = low[np.searchsorted(sums, sums[-1] * (parts // 2 / parts))], max(lattice, 2 * halo)
+    else:
+        at, least = core[axis] + side / 2, max(lattice, 2 * halo)
+    if side < 2 * least:
         return []
     before, after = core.copy(), core.copy()
-    before[axis + 2] = after[axis] = lattice * round(min(max(at, first), last) / lattice)
+    before[axis + 2] = after[axis] = lattice * round(min(max(at, core[axis] + least), core[axis + 2] - least) / lattice)
     return [before, after]
 
 
