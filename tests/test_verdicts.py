@@ -18,7 +18,7 @@ from commands import done, facts, run
 import jaxfilter as jf
 from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
-from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
+from jaxfilter.reviews.repair import HALO, RIM, read_verdicts, sites
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")

@@ -29,22 +29,22 @@ from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import SIDE
-from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
+from ..surveys.claim import Claim, claim_of
+from ..surveys.collection import Collection
+from ..surveys.collection import open as open_collection
+from ..surveys.kept import list_places, suspects_in
+from ..surveys.measures import Recipe
+from ..surveys.options import RunOptions
+from ..surveys.product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
+from ..surveys.report import REPORT, RunReport, Summary
+from ..surveys.small import carry_out
+from ..surveys.store import Store
+from ..surveys.surroundings import ground_by_class
+from ..surveys.survey import Survey, check_in_place, open_files
+from ..surveys.targets import Targets
+from ..surveys.tiles import Tile, inside, part_of
 from ..terrain.layer import extent_of
-from .claim import Claim, claim_of
-from .collection import Collection
-from .collection import open as open_collection
-from .kept import list_places, suspects_in
-from .measures import Recipe
-from .options import RunOptions
-from .product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
-from .report import REPORT, RunReport, Summary
-from .small import carry_out
-from .store import Store
-from .surroundings import ground_by_class
-from .survey import Survey, check_in_place, open_files
-from .targets import Targets
-from .tiles import Tile, inside, part_of
+from .repair import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 
 LOG = "verdicts.json"
 """Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""

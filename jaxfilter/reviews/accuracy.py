@@ -26,13 +26,13 @@ from ..files.disk import Bounds, Seal, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
+from ..surveys.collection import Collection
+from ..surveys.collection import open as open_collection
+from ..surveys.options import RunOptions
+from ..surveys.report import REPORT
+from ..surveys.survey import check_in_place
 from ..terrain.raster import Raster
-from .collection import Collection
-from .collection import open as open_collection
-from .options import RunOptions
-from .report import REPORT
-from .survey import check_in_place
-from .verdicts import LOG, reviewed
+from .survey import LOG, reviewed
 
 EDITIONS = {
     "2014": "ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 1, version 1.0, November 2014, section 7.4 "

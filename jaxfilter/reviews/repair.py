@@ -23,8 +23,8 @@ from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
 from ..files.vectors import in_system, read_shapes
 from ..methods.ost import OST
+from ..reports.places import OFF, SIDE, STEEPEST
 from ..steps.seeds import rising
-from .places import OFF, SIDE, STEEPEST
 
 GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
 """What may be said of a place."""
