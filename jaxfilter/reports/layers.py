@@ -12,7 +12,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.grid import Grid, grid_over
 from ..core.result import Decision, FilterResult
 from ..plots.maps import rasterise, shade
-from .places import places_of, suspects
+from .places import find_suspects, places_of
 
 MAX_PIXELS = 2_000_000
 _DOUBTFUL = 0.2
@@ -109,7 +109,7 @@ def places(
         row, column = np.divmod(at[np.argsort(-count, kind="stable")[:_PLACES]], grid.nx)
         x, y = grid.x0 + (column + 0.5) * least, grid.y0 + (row + 0.5) * least
         return [{"x": float(a), "y": float(b), "side": least, "what": "errors"} for a, b in zip(x, y, strict=True)]
-    listed = places_of(suspects(cloud, found), cloud.units.xy)[:_PLACES]
+    listed = places_of(find_suspects(cloud, found), cloud.units.xy)[:_PLACES]
     local = [(np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed]
     return [
         {"x": float(x), "y": float(y), "side": max(math.sqrt(one.area), least), "what": one.reason}

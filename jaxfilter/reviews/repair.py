@@ -23,7 +23,7 @@ from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
 from ..files.vectors import in_system, read_shapes
 from ..methods.ost import OST
-from ..reports.places import OFF, SIDE, STEEPEST
+from ..reports.places import OFF, SIDE, STEEPEST_TERRAIN
 from ..steps.seeds import rising
 
 GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
@@ -221,7 +221,7 @@ def _zones(points: Points, site: Repair) -> tuple[np.ndarray, np.ndarray]:
 
 def _lowest(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`SIDE` metres from the anchor, but for
-    those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST`."""
+    those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST_TERRAIN`."""
     rows = np.flatnonzero(counted)
     cell = np.floor((points.xyz[rows, :2] + points.anchored()) / SIDE).astype(np.int64)
     order = np.lexsort((rows, points.xyz[rows, 2], cell[:, 0], cell[:, 1]))
@@ -229,7 +229,7 @@ def _lowest(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarra
     first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
     low = np.sort(rows[order[first]])
     others = np.union1d(low, np.flatnonzero(seeds))
-    return low[~rising(points.xyz, low, others, BESIDE, STEEPEST)]
+    return low[~rising(points.xyz, low, others, BESIDE, STEEPEST_TERRAIN)]
 
 
 def _level(xyz: np.ndarray) -> np.ndarray:
