@@ -16,7 +16,7 @@ from commands import done, facts, run
 from scipy.spatial import cKDTree
 
 import jaxfilter as jf
-from jaxfilter.reports.layers import doubt_per_point, layers_of, places
+from jaxfilter.reports.layers import doubt_per_point, layers_of, places_to_look_at
 from jaxfilter.reports.page import script_json
 from jaxfilter.reports.steps import step_values, swept_field
 
@@ -179,9 +179,9 @@ def test_places_to_look_at_are_where_errors_are(cloud, result):
     wrong = result.ground.copy()
     corner = (cloud.xyz[:, 0] > 65) & (cloud.xyz[:, 1] > 55)
     wrong[corner] = ~cloud.reference[corner]
-    found = places(cloud, result, wrong != cloud.reference, 1.0)
+    found = places_to_look_at(cloud, result, wrong != cloud.reference, 1.0)
     assert found[0]["what"] == "errors" and found[0]["x"] > 60 and found[0]["y"] > 50
-    listed, table = places(cloud, result, None, 1.0), jf.review(cloud, result)
+    listed, table = places_to_look_at(cloud, result, None, 1.0), jf.review(cloud, result)
     assert [one["what"] for one in listed] == table["reason"].tolist()[:12]
     assert [one["x"] for one in listed] == pytest.approx((table["x"] - cloud.origin[0]).tolist()[:12])
 

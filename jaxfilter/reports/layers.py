@@ -14,7 +14,7 @@ from ..core.result import Decision, FilterResult
 from ..plots.maps import rasterise, shade
 from .places import find_suspects, places_of
 
-MAX_PIXELS = 2_000_000
+MOST_PIXELS = 2_000_000
 _DOUBTFUL = 0.2
 """Share of the points of a decision, those nearest to their threshold, that count as doubtful."""
 _PLACES, _PLACE, _SIDE = 12, 20, 20.0
@@ -47,8 +47,7 @@ def layers_of(cloud: PointCloud, result: FilterResult, reference: np.ndarray | N
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     ground = result.ground & real
     xyz = cloud.xyz[real] if not real.all() else cloud.xyz
-    grid = grid_over(xyz, _cell(xyz))
-    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, grid.cell, over=xyz)
+    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, _cell(xyz), over=xyz)
     known = z[np.isfinite(z)]
     low, step = float(known.min()), max(float(np.ptp(known)) / 65534, QUANTUM)
     flat = grid.flat(cloud.xyz)
@@ -91,7 +90,7 @@ def doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
     return out, "margin"
 
 
-def places(
+def places_to_look_at(
     cloud: PointCloud, found: FilterResult, wrong: np.ndarray | None, cell: float
 ) -> list[dict[str, float | str]]:
     """Where to look first: squares with most errors, or without any known the places of :func:`jaxfilter.review`.
@@ -118,9 +117,9 @@ def places(
 
 
 def _cell(xyz: np.ndarray) -> float:
-    """Metres: about one point per cell, and at most :data:`MAX_PIXELS` cells."""
+    """Metres: about one point per cell, and at most :data:`MOST_PIXELS` cells."""
     width, height = (max(float(v), 1.0) for v in (np.ptp(xyz[:, 0]), np.ptp(xyz[:, 1])))
-    side = math.sqrt(width * height / min(len(xyz), MAX_PIXELS))
+    side = math.sqrt(width * height / min(len(xyz), MOST_PIXELS))
     return max(side, max(width, height) / 8000, 0.05)
 
 
