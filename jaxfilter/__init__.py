@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from .reports.page import ReportOptions, report
     from .reports.places import review
     from .reviews.accuracy import accuracy_statement
-    from .reviews.survey import apply, apply_survey, review_survey
+    from .reviews.repair import apply
+    from .reviews.survey import apply_survey, review_survey
     from .scoring import Scores, evaluate
     from .steps.batch import Batch
     from .steps.grid_filter import soft_labels
@@ -57,8 +58,8 @@ _HOMES = {
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports.page": ("report",
     "ReportOptions"), "reports.places": ("review",), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
     "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",),
-    "terrain.layers": ("breaklines", "chm",
-    "contours", "count", "density", "dsm", "hillshade", "voids"), "reviews.survey": ("apply", "apply_survey", "review_survey"),
+    "terrain.layers": ("breaklines", "chm", "contours", "count", "density", "dsm", "hillshade", "voids"),
+    "reviews.repair": ("apply",), "reviews.survey": ("apply_survey", "review_survey"),
     "reviews.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -18,7 +18,7 @@ from commands import done, facts, run
 import jaxfilter as jf
 from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
-from jaxfilter.reviews.repair import HALO, RIM, read_verdicts, sites
+from jaxfilter.reviews.verdicts import HALO, PLACE_RIM, read_verdicts, sites_of
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -86,7 +86,7 @@ def wrong(xyz):
 @pytest.mark.parametrize("word", ["object", "bridge"])
 def test_an_object_is_no_ground_and_its_rim_is_judged_again(xyz, wrong, word):
     made = jf.apply(labelled(xyz, wrong), table(house=word))
-    house, near = inside(xyz, *HOUSE), inside(xyz, *HOUSE, by=RIM)
+    house, near = inside(xyz, *HOUSE), inside(xyz, *HOUSE, by=PLACE_RIM)
     assert not made.ground[house].any() and made.ground[near & ~house].all()
     np.testing.assert_array_equal(made.ground[~near], wrong[~near])
     np.testing.assert_array_equal(made.deck, house & (word == "bridge"))
@@ -210,10 +210,10 @@ def test_a_result_that_was_put_together_by_hand_is_refused(wrong):
 def test_places_whose_rims_meet_are_a_site():
     boxes = (0, 0, 10, 10), (17, 0, 20, 10), (40, 0, 50, 10), (90, 0, 99, 9)
     places = table(*boxes, a="object", b="ground", c="water", d="fine")
-    found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6))[0], 1.0)
+    found = sites_of(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6))[0], 1.0)
     assert [len(site.verdicts) for site in found] == [2, 1], "where all is fine there is nothing to do"
-    np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(RIM, join_style="mitre").bounds)
-    np.testing.assert_allclose(found[1].window, box(40, 0, 50, 10).buffer(RIM + HALO, join_style="mitre").bounds)
+    np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(PLACE_RIM, join_style="mitre").bounds)
+    np.testing.assert_allclose(found[1].window, box(40, 0, 50, 10).buffer(PLACE_RIM + HALO, join_style="mitre").bounds)
 
 
 # files

@@ -31,8 +31,8 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     changes the files. jaxfilter ground IN OUT --review places.gpkg finds places better, since OST knows how sure it is.
     """
     from ..files.vectors import SUFFIXES
-    from ..reviews.repair import WORDS
     from ..reviews.survey import review_survey
+    from ..reviews.verdicts import WORDS
 
     files = open_files(session, names, options, SUFFIXES)
     report = files.do(review_survey, files.out, classes)

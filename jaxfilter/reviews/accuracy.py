@@ -5,34 +5,34 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
+from ..core.errors import DAMAGED, InputError, OutputError
 from ..core.markup import table
 from ..core.reading import Reading
 from ..core.units import vertical
 from ..core.version import __version__
-from ..files.disk import Bounds, Seal, new_file
+from ..files.disk import Bounds, check_suffix, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
+from ..reports.page import PAGE_SUFFIXES
+from ..reports.survey_page import page_of
 from ..surveys.collection import Collection
 from ..surveys.collection import open as open_collection
 from ..surveys.options import RunOptions
 from ..surveys.report import REPORT
 from ..surveys.survey import check_in_place
 from ..terrain.raster import Raster
-from .survey import LOG, reviewed
+from .survey import LOG, Log, run_review
 
 EDITIONS = {
     "2014": "ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 1, version 1.0, November 2014, section 7.4 "
@@ -42,15 +42,11 @@ EDITIONS = {
 }
 """What figures are made by."""
 _LEAST = {"2014": 20, "2023": 30}
+"""Check points that they ask for."""
 _COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum", "vertical_crs")
 _PLANTS = ("veg", "forest", "(?<!s)tree", "wood", "brush", "shrub", "(?<!out)crop", "weed", "tall", "vva")
 _BARE = "non|not veg|unveg"
 """Parts of the names of land covers that are vegetated, if none of these is in them: a street and an outcrop are not."""
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,"><title>{title} – accuracy</title><style>{style}</style></head>
-<body><header><h1>{title}</h1><p>Statement of accuracy · jaxfilter {version}</p></header><main>{sections}</main></body></html>
-"""
 
 
 def accuracy_statement(
@@ -89,9 +85,7 @@ def accuracy_statement(
     >>> said["model"]["cells"], said["checkpoints"] is None
     (3600, True)
     """
-    page = Path(path)
-    if page.suffix.lower() not in (".html", ".htm"):
-        raise ParameterError(f"{page}: the suffix must be .html")
+    check_suffix(page := Path(path), PAGE_SUFFIXES)
     for target in (page, page.with_suffix(".json")):
         if target.exists() and not run.overwrite:
             raise OutputError(f"{target} exists: name another file, or pass overwrite=True")
@@ -107,7 +101,7 @@ def accuracy_statement(
 
         notes.append("the model covers a part of the files: points and places in its bounds count")
         reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
-    report = reviewed(collection, page, None, ground, reading, run)
+    report = run_review(collection, page, None, ground, reading, run)
     cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
     km2 = cells * square / 1e6
     doubt = _doubt(collection, inner)
@@ -275,20 +269,18 @@ def _made(collection: Collection) -> dict[str, Any]:
     Raises: InputError for a damaged report."""
     found: dict[str, Any] = {"jaxfilter": __version__}
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
-        for place in (folder / name for name in (REPORT, LOG) if (folder / name).is_file()):
+        if (place := folder / REPORT).is_file():
             try:
                 facts = json.loads(place.read_text())
-                if place.name == REPORT:
-                    found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
-                    continue
-                seals, own = facts["files"], {os.path.relpath(uri, folder) for uri in collection.uris}
-                own = {name for name in own & set(seals) if Seal(**seals[name]).broken(folder / name) is None}
-                said = Counter(one["verdict"] for one in facts["verdicts"] if own & set(one["files"]))
-                found["verdicts"] = dict(sorted(said.items()))
+                found |= {name: facts.get(name) for name in ("method", "parameters")}
             except DAMAGED as error:
-                raise InputError(
-                    f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
-                ) from error
+                said = f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
+                raise InputError(said) from error
+        if (folder / LOG).is_file():
+            log = Log(folder / LOG, collection)
+            own = {log.name_of(uri) for uri in collection.uris}
+            counts = Counter(one["verdict"] for one in log.entries if own & set(one["files"]))
+            found["verdicts"] = dict(sorted(counts.items()))
     return found
 
 
@@ -316,9 +308,8 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     sections.append("<h2>How it was made</h2>" + table((), [(key, str(value)) for key, value in facts["made"].items()]))
     for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
         sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
-    style = files("jaxfilter.reports").joinpath("page.css").read_text(encoding="utf-8")
     body = "".join(f"<section>{one}</section>" for one in sections)
-    text = _PAGE.format(title=escape(page.stem), style=style, version=__version__, sections=body)
+    text = page_of(page.stem, "accuracy", "Statement of accuracy", body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
             part.write_text(content, encoding="utf-8", errors="replace")

@@ -1,161 +1,100 @@
-"""What people have decided at places, and the labels that follow: ground grows again there, from what they say."""
+"""Verdicts on places are carried out on a result in memory: ground grows again there, from what people say."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import os
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, warn
+from ..core.errors import InputError
+from ..core.grid import lattice_over
 from ..core.points import Points, has_area
+from ..core.result import Decision, FilterResult
 from ..engines.ground import grow
 from ..engines.neighbours import groups
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Outliers, Vertices
 from ..engines.tin.network import corner_positions, one_network, with_elevation
 from ..engines.tin.triangulation import triangulated
-from ..files.disk import Bounds
-from ..files.vectors import in_system, read_shapes
+from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import OFF, SIDE, STEEPEST_TERRAIN
-from ..steps.seeds import rising
+from ..steps.seeds import lowest_on_grid, rising
+from ..surveys.tiles import inside, part_of
+from ..terrain.layer import extent_of
+from .verdicts import BRIDGE, FINE, GROUND, HALO, OBJECT, PLACE_RIM, WATER, VerdictSite, read_verdicts, sites_of
 
-GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
-"""What may be said of a place."""
-RIM = 2 * SIDE
-"""Metres around a place in which points are tested again: two of the cells that places are made of."""
 BESIDE = 3 * SIDE
 """Metres: the lowest point of a cell of :data:`SIDE` is a seed if it rises from none so near by more than terrain does."""
-HALO = 40.0
-"""Metres around that whose ground takes part, as around the tiles of terrain models."""
-LEVEL = 0.3
+WAVES = 0.3
 """Metres above and below the plane through the lowest points of a body of water that are its surface."""
-_OVERLAP = 1.0
-"""Square units of the file that two places with different verdicts may share."""
 _BLOCK = 5.0
 """Metres: ground is averaged in such squares before its slope is taken, as in the landscape of OST."""
 
 
-class PlaceVerdict(NamedTuple):
-    """What is said of a place.
+def apply(result: FilterResult, places: Any) -> FilterResult:
+    """Carry out what people have decided at places: labels inside these and at their rim become what follows from it.
 
-    Attributes:
-        word: one of :data:`WORDS`. shape: polygons in file coordinates. name: the place in words. key: tells it from others.
-    """
+    ============  ========================================================================================================
+    verdict       what is done
+    ============  ========================================================================================================
+    ``ground``    the lowest points of cells of 2 m are ground as well, unless they stand on something steeper than terrain
+    ``object``    ground that sticks out of the plane of its neighbours by more than 0.5 m goes, from the outside inwards
+    ``bridge``    no point is ground; points that were are marked as ``deck``
+    ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
+    ``fine``      nothing changes, here and where the rim of another place meets it
+    ============  ========================================================================================================
 
-    word: str
-    shape: shapely.Geometry
-    name: str
-    key: str
-
-    @classmethod
-    def of(cls, word: str, shape: shapely.Geometry, name: str) -> PlaceVerdict:
-        """With a key that word and shape decide, to a millimetre."""
-        plain = shapely.set_precision(shape, 0.001).normalize()
-        return cls(word, shape, name, hashlib.sha256(word.encode() + shapely.to_wkb(plain)).hexdigest()[:24])
-
-
-def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -> tuple[list[PlaceVerdict], list[str]]:
-    """The verdicts in a file or table of places that can be carried out, in coordinates of the data; in words why others cannot.
+    The ground around the place is known. From it and from what is left or new, the ground grows again through the place and the
+    4 m around it, by the rules of OST. Around a bridge, ground in these 4 m must pass again. All other labels stay as they are.
+    Places whose rims meet are done together, and each sees the ground up to 40 m away.
 
     Args:
-        places: name of a GeoPackage or GeoJSON, or a GeoDataFrame, with a column ``verdict``; empty ones are passed over.
-        crs, bounds: of the data.
+        result: of any filter; the limits are those of OST, as set up for the cloud if another method has found the ground.
+        places: what :func:`jaxfilter.review` returns or has written, with its column ``verdict`` filled in; or any other polygons
+            with such a column. Empty ones are passed over. Places in another CRS are transformed.
 
-    Raises: InputError if it cannot be read, or has no such column. Warns: if it is transformed, and of the others.
+    Returns: FilterResult with other ``ground`` and ``decision``, ``water`` and ``deck``; ``doubt`` is NaN where labels changed.
+    Raises: InputError for places that cannot be read or have no such column, and for a result without its cloud. Warns: of each
+        verdict that is left out, since it is none, lies beside the data, or contradicts one that overlaps it.
+
+    >>> places = jf.review(cloud, result)
+    >>> places["verdict"] = "fine"
+    >>> bool((jf.apply(result, places).ground == result.ground).all())
+    True
     """
-    import geopandas
-    import pandas
-
-    table: Any = places
-    if isinstance(places, (str, os.PathLike)):
-        table = read_shapes(name := os.fspath(places), "places")
-    elif not isinstance(places, geopandas.GeoDataFrame):
-        raise InputError(f"{name}: a GeoDataFrame or the name of a file is needed, not {type(places).__name__}")
-    if not len(table):  # an empty GeoJSON has no columns
-        return [], []
-    if "verdict" not in table:
+    if result.run is None:
         raise InputError(
-            f"{name}: has no column verdict; it has {', '.join(map(str, table.columns))}: add it, with one of {', '.join(WORDS)}"
+            "result: was put together by hand, so its points are not known: pass what a filter has returned"
         )
-    table = in_system(table, crs, name)
-    verdicts, problems = [], []
-    rows = np.arange(1, len(table) + 1)
-    ranks = pandas.to_numeric(table["rank"], errors="coerce") if "rank" in table else rows
-    names = [
-        f"place {rank:.0f}" if np.isfinite(rank) else f"the place in row {row}"
-        for rank, row in zip(ranks, rows, strict=True)
-    ]
-    every = table["verdict"].where(table["verdict"].notna(), "")
-    for which, said, shape in zip(names, every, table.geometry, strict=True):
-        word = str(said).strip().lower()
-        if not word:
-            continue
-        if word not in WORDS:
-            problems.append(f"{name}: {which}: {said!r} is no verdict: choose one of {', '.join(WORDS)}")
-        elif shape is None or "Polygon" not in shape.geom_type or not (valid := shapely.make_valid(shape)).area:
-            problems.append(f"{name}: {which}: is no polygon")
-        elif not shape.intersects(shapely.box(*bounds)):
-            problems.append(f"{name}: {which}: lies outside of the data: is it in another CRS?")
-        else:
-            verdicts.append(PlaceVerdict.of(word, valid, which))
-    wrong = _contradictions(verdicts)
-    problems += [f"{name}: {verdicts[a].name} is {verdicts[a].word} and {verdicts[b].name}, which overlaps it, "
-                 f"{verdicts[b].word}: neither is carried out" for a, b in wrong]  # fmt: skip
-    left_out = {row for pair in wrong for row in pair}
-    for problem in problems:
-        warn(problem)
-    return [one for row, one in enumerate(verdicts) if row not in left_out], problems
-
-
-def _contradictions(verdicts: Sequence[PlaceVerdict]) -> list[tuple[int, int]]:
-    """Pairs that overlap and say different things."""
-    shapes = np.array([one.shape for one in verdicts], object)
-    pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects").T.tolist()
-    return [(a, b) for a, b in sorted(map(tuple, pairs)) if a < b and verdicts[a].word != verdicts[b].word
-            and shapes[a].intersection(shapes[b]).area > _OVERLAP]  # fmt: skip
-
-
-class Repair(NamedTuple):
-    """Verdicts that are carried out together, since points are in the rims of several.
-
-    Attributes:
-        verdicts: of these places. touched: box around them and their rims. window: box whose points take part. File coordinates.
-    """
-
-    verdicts: list[PlaceVerdict]
-    touched: Bounds
-    window: Bounds
-
-
-def sites(verdicts: Sequence[PlaceVerdict], metre: float) -> list[Repair]:
-    """Places whose rims meet are a site; where nothing is to be changed there is none. ``metre``: metres per unit of the file."""
-    if not verdicts:
-        return []
-    rims = [one.shape.buffer(RIM / metre) for one in verdicts]
-    one, other = shapely.STRtree(rims).query(rims, predicate="intersects")
-    of, found = groups(one, other, len(rims)), []
-    for number in range(int(of.max()) + 1):
-        own = sorted((verdicts[row] for row in np.flatnonzero(of == number).tolist()), key=lambda one: one.key)
-        acting = [one.shape for one in own if one.word != FINE]
-        if acting:
-            box = shapely.union_all(acting).bounds
-            found.append(Repair(own, _wider(box, RIM / metre), _wider(box, (RIM + HALO) / metre)))
-    return found
-
-
-def _wider(box: Bounds, by: float) -> Bounds:
-    return box[0] - by, box[1] - by, box[2] + by, box[3] + by
+    cloud = result.run.cloud
+    verdicts, _ = read_verdicts(places, cloud.crs, extent_of(cloud))
+    filter_: Any = result.run.filter
+    filter_ = filter_.replace() if isinstance(filter_, OST) else default_filter(cloud)
+    if filter_.spacing is None:
+        filter_ = filter_.replace(spacing=filter_.points_of(cloud).spacing())
+    ground, decision = result.ground.copy(), np.array(result.decision)
+    doubt = None if result.doubt is None else result.doubt.copy()
+    water, deck = (np.zeros(len(cloud), bool) if old is None else old.copy() for old in (result.water, result.deck))
+    for site in sites_of(verdicts, cloud.units.xy):
+        rows = np.flatnonzero(inside(cloud, site.window))
+        found = repair(part_of(cloud, rows), result.ground[rows], site, filter_)
+        changed = rows[found.changed]
+        ground[changed] = found.ground[found.changed]
+        decision[changed] = np.where(ground[changed], Decision.ACCEPTED, Decision.SURFACE)
+        water[rows[found.water]], deck[rows[found.deck]] = True, True
+        if doubt is not None:
+            doubt[changed] = np.nan
+    return dataclasses.replace(
+        result, ground=ground, decision=decision, doubt=doubt, water=water & ground, deck=deck & ~ground
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Repaired:
+class Repair:
     """Labels of n points after verdicts, bool[n] each: ``changed``; ``ground``; ``water``, the surface of water where that was
     said; ``deck``: points of bridges that were ground."""
 
@@ -165,7 +104,7 @@ class Repaired:
     deck: np.ndarray
 
 
-def repaired(cloud: PointCloud, ground: np.ndarray, site: Repair, filter_: OST) -> Repaired:
+def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OST) -> Repair:
     """Carry out the verdicts of a site on the points of its window.
 
     In an object and its rim, ground that sticks out of the plane of its neighbours by more than :data:`OFF` goes, from the
@@ -183,22 +122,22 @@ def repaired(cloud: PointCloud, ground: np.ndarray, site: Repair, filter_: OST) 
     seeds = was & ~np.isin(word, (BRIDGE, WATER)) & (rim != BRIDGE)
     for one in site.verdicts:
         if one.word == WATER:
-            inside = np.flatnonzero(_inside(points, one.shape) & (word == WATER))
-            seeds[inside[_level(points.xyz[inside])]] = True
+            inside = np.flatnonzero(_points_in(points, one.shape) & (word == WATER))
+            seeds[inside[_on_water(points.xyz[inside])]] = True
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
-        seeds[_lowest(points, places & ~filter_.low(points), seeds)] = True
+        seeds[_lowest_seeds(points, places & ~filter_.low(points), seeds)] = True
     barred = _sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
     seeds &= ~barred
     grows = (np.isin(word, (GROUND, OBJECT)) | (rim != "")) & ~barred
-    now = _grown(points, seeds, grows, filter_) if grows.any() and has_area(points.xyz[seeds]) else seeds
+    now = _grow_through(points, seeds, grows, filter_) if grows.any() and has_area(points.xyz[seeds]) else seeds
     changed = points.spread(now != was, False)
     after = np.where(changed, points.spread(now, False), ground)
     deck = points.spread((word == BRIDGE) & was, False) & ground
-    return Repaired(changed, after, points.spread(water, False), deck)
+    return Repair(changed, after, points.spread(water, False), deck)
 
 
-def _inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
+def _points_in(points: Points, shape: shapely.Geometry) -> np.ndarray:
     """bool[m]: points in a shape or on its border."""
     shapely.prepare(shape)
     cloud = points.cloud
@@ -206,44 +145,39 @@ def _inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
     return np.asarray(shapely.intersects_xy(shape, x, y))
 
 
-def _zones(points: Points, site: Repair) -> tuple[np.ndarray, np.ndarray]:
+def _zones(points: Points, site: VerdictSite) -> tuple[np.ndarray, np.ndarray]:
     """What is said of each point, U[m], "" = nothing; and of a place in whose rim it lies, U[m]."""
     word, rim = (np.full(len(points), "", "U6") for _ in range(2))
     for said in (WATER, GROUND, BRIDGE, OBJECT, FINE):  # in a rim the last one counts
         for one in site.verdicts:
             if one.word == said:
-                word[_inside(points, one.shape)] = said
+                word[_points_in(points, one.shape)] = said
                 if said != FINE:
-                    rim[_inside(points, one.shape.buffer(RIM / points.cloud.units.xy))] = said
+                    rim[_points_in(points, one.shape.buffer(PLACE_RIM / points.cloud.units.xy))] = said
     rim[word != ""] = ""
     return word, rim
 
 
-def _lowest(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def _lowest_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`SIDE` metres from the anchor, but for
     those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST_TERRAIN`."""
-    rows = np.flatnonzero(counted)
-    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / SIDE).astype(np.int64)
-    order = np.lexsort((rows, points.xyz[rows, 2], cell[:, 0], cell[:, 1]))
-    first = np.ones(len(rows), bool)
-    first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
-    low = np.sort(rows[order[first]])
+    low = lowest_on_grid(points, lattice_over(points.xyz, SIDE, points.offset(SIDE)), ~counted)
     others = np.union1d(low, np.flatnonzero(seeds))
     return low[~rising(points.xyz, low, others, BESIDE, STEEPEST_TERRAIN)]
 
 
-def _level(xyz: np.ndarray) -> np.ndarray:
+def _on_water(xyz: np.ndarray) -> np.ndarray:
     """bool[k]: points f32[k, 3] of a place that are the surface of its water."""
     if len(xyz) == 0:
         return np.zeros(0, bool)
     near = xyz.astype(np.float64) - xyz.mean(axis=0, dtype=np.float64)
     columns, z = np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2]
-    kept = z <= np.quantile(z, 0.25) + LEVEL
+    kept = z <= np.quantile(z, 0.25) + WAVES
     for _ in range(5):  # the plane of the lower half, as far as it is level
         plane = np.linalg.lstsq(columns[kept], z[kept], rcond=None)[0]
-        kept = np.abs(z - columns @ plane) <= LEVEL
+        kept = np.abs(z - columns @ plane) <= WAVES
         if kept.sum() < 3:
-            return np.asarray(np.abs(z - z.min()) <= LEVEL)
+            return np.asarray(np.abs(z - z.min()) <= WAVES)
     return np.asarray(kept)
 
 
@@ -252,12 +186,12 @@ def _slope(xyz: np.ndarray, anchored: np.ndarray) -> float:
     at = np.floor((xyz[:, :2] + anchored) / _BLOCK).astype(np.int64)
     at -= at.min(axis=0)
     shape = tuple((at.max(axis=0) + 1).tolist())
-    key = at[:, 0] * shape[1] + at[:, 1]
-    size = shape[0] * shape[1]
+    if min(shape) < 3:
+        return 0.0
+    key, size = np.ravel_multi_index(tuple(at.T), shape), shape[0] * shape[1]
     with np.errstate(invalid="ignore"):
         z = (np.bincount(key, xyz[:, 2], size) / np.bincount(key, minlength=size)).reshape(shape)
-    rises = [(z[2:, 1:-1] - z[:-2, 1:-1]), (z[1:-1, 2:] - z[1:-1, :-2])] if min(shape) > 2 else []
-    slopes = np.hypot(*rises) / (2 * _BLOCK) if rises else np.zeros(0)
+    slopes = np.hypot(*np.gradient(z, _BLOCK))[1:-1, 1:-1]
     known = slopes[np.isfinite(slopes)]
     return float(known.mean()) if len(known) else 0.0
 
@@ -300,7 +234,7 @@ def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.n
     return out
 
 
-def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_: OST) -> np.ndarray:
+def _grow_through(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_: OST) -> np.ndarray:
     """bool[m]: ground from ``seeds`` on, among the points that it ``grows`` over."""
     rows = np.flatnonzero(seeds | grows)
     some = dataclasses.replace(points, xyz=points.xyz[rows], weight=points.weight[rows])
