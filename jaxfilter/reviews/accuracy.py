@@ -144,23 +144,24 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pandas.errors.ParserWarning)  # of lines with more cells than the header
-            rows = pandas.read_csv(path, dtype=str, index_col=False).rename(
-                columns=lambda name: str(name).strip().lower()
-            )
+            rows = pandas.read_csv(path, dtype=str, index_col=False)
     except (OSError, ValueError, pandas.errors.ParserWarning) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from error
+    rows.columns = rows.columns.str.strip().str.lower()
     if missing := [name for name in "xyz" if name not in rows]:
         raise InputError(f"{path}: has no column {missing[0]}; it has {', '.join(rows)}: name them x, y and z")
     xyz = rows[["x", "y", "z"]].apply(pandas.to_numeric, errors="coerce").to_numpy(np.float64)
     _same_datum(path, rows, model, collection, notes)
     z, inside = _sampled(model, xyz[:, :2])
     used = np.isfinite(z - xyz[:, 2])
-    outside, unknown = (np.flatnonzero(rest) + 2 for rest in (~inside, inside & ~used))
-    kinds = (outside, "lie outside of the model"), (unknown, "lie where the model has no height, or have none")
-    for lines, words in kinds:
-        if len(lines):
-            which = ", ".join(map(str, lines))
-            notes.append(f"{path.name}: {len(lines)} check points {words}, and do not count: lines {which}")
+    outside, unknown = ~inside, inside & ~used
+    for which, words in (
+        (outside, "lie outside of the model"),
+        (unknown, "lie where the model has no height, or have none"),
+    ):
+        if which.any():
+            lines = ", ".join(map(str, np.flatnonzero(which) + 2))
+            notes.append(f"{path.name}: {which.sum()} check points {words}, and do not count: lines {lines}")
     dz = (z - xyz[:, 2])[used] * collection.units.z
     name = next((one for one in _COVER if one in rows), _COVER[0])
     if name not in rows:
@@ -176,8 +177,8 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
         "nva": _figures(dz[~plants]),
         "vva": _figures(dz[plants]),
         "by_cover": {one: _figures(dz[covers == one]) for one in sorted(set(covers))},
-        "outside": len(outside),
-        "without_height": len(unknown),
+        "outside": int(outside.sum()),
+        "without_height": int(unknown.sum()),
     }
 
 

@@ -74,11 +74,14 @@ class VerdictReport(RunReport):
 
 @dataclasses.dataclass(frozen=True)
 class VerdictProduct(Product):
-    """Files in which some classes follow verdicts; a tile is a site."""
+    """Files in which some classes follow verdicts; a tile is a site. ``new``: verdicts for the file ``log``, which is the output
+    behind those of points."""
 
     REPORT = VerdictReport
     sites: tuple[VerdictSite, ...]
     classes: Classes
+    new: list[PlaceVerdict]
+    log: Path
 
     def cut(self) -> Cut:
         """A tile for each site."""
@@ -114,16 +117,15 @@ class VerdictProduct(Product):
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and write the log, which takes its place together with them."""
-        assert isinstance(report, VerdictReport) and isinstance(targets, _Targets)
+        assert isinstance(report, VerdictReport) and isinstance(targets, Claim)
         changed = [arrays[_CHANGED] for arrays in self.kept(report, (_CHANGED,))]
         files, counts = np.concatenate([np.zeros((2, 0), int), *changed], axis=1)
         written = {str(targets.places[number]) for number in files}
         report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
         if not (report.set_aside or report.failed or report.left_out):
-            *files, last = map(targets.part, range(len(targets.places)))
+            log, (*files, last) = Log(self.log, collection), map(targets.part, range(len(targets.places)))
             named = zip(collection.uris, files, strict=True)
-            parts = {targets.log.name_of(uri): part for uri, part in named if part is not None and part.exists()}
-            targets.log.add(targets.new, parts, last)
+            log.add(self.new, {log.name_of(uri): part for uri, part in named if part and part.exists()}, last)
 
     def facts(self) -> dict[str, Any]:
         """Classes and verdicts."""
@@ -188,9 +190,9 @@ def apply_survey(
             if run.workers is None and run.client is None and len(found) <= _FEW:
                 run = dataclasses.replace(run, workers=1)
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-            logged = _Targets([*files, log.path], in_place=True, store=targets.store, log=log, new=new)
+            logged = dataclasses.replace(targets, places=[*files, log.path])
             survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
-            report = carry_out(survey, VerdictProduct, sites=found, classes=classes)
+            report = carry_out(survey, VerdictProduct, sites=found, classes=classes, new=new, log=log.path)
         if not run.dry_run:
             targets.discard()  # the log tells what is done
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
@@ -279,14 +281,6 @@ class Log:
         seals = {name: dataclasses.asdict(Seal.of(parts.get(name, self.path.parent / name))) for name in names}
         with new_file(self.path, overwrite=True, into=into) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Targets(Claim):
-    """Files, and behind them the log of their verdicts, which lists ``new`` ones when they are replaced."""
-
-    log: Log
-    new: Sequence[PlaceVerdict]
 
 
 @dataclasses.dataclass(frozen=True)
