@@ -87,7 +87,7 @@ class HeightErrors:
         return own | {word + key: value for word, part in parts if part for key, value in part.as_dict().items()}
 
 
-_NONE = HeightErrors(*[math.nan] * 8, 0, 0)
+_NONE = HeightErrors(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, cells=0, missing=0)
 FIGURES = tuple(dataclasses.replace(_NONE, border=_NONE, inside=_NONE).as_dict())
 """Keys of :meth:`HeightErrors.as_dict`."""
 
