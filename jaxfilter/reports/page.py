@@ -29,7 +29,7 @@ from ..files.classes import class_changes, class_name
 from ..files.disk import check_suffix, new_file
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
-from .layers import Layers, layers_of, places_to_look_at
+from .layers import map_layers, places_to_look_at
 from .places import as_result
 from .steps import Steps, steps_of
 
@@ -112,9 +112,9 @@ def report(
         slider = steps_of(result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
         notify(0.5, "maps")
         real = len(cloud) if cloud.valid is None else cloud.valid.sum()
-        layers = layers_of(cloud, result, truth) if real else None
+        maps = map_layers(cloud, result, truth) if real else None
         notify(0.7, "points")
-        facts, arrays = _contents(cloud, result, truth, slider, layers, options.max_points)
+        facts, arrays = _contents(cloud, result, truth, slider, maps, options.max_points)
         notify(0.9, "page")
         with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
             packed = dict(zip(arrays, pool.map(pack, arrays.values()), strict=True))
@@ -124,7 +124,7 @@ def report(
         )
         name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
         values = {"title": escape(options.title or name), "facts": script_json(facts), "data": data}
-        page = Template(_piece("page.html")).substitute(values | _texts(cloud, result, slider, layers))
+        page = Template(_piece("page.html")).substitute(values | _texts(cloud, result, slider))
         temporary.write_text(page, encoding="utf-8")
     notify(1.0, "done")
     return path
@@ -145,7 +145,7 @@ def _contents(
     result: FilterResult,
     truth: np.ndarray | None,
     slider: Steps,
-    layers: Layers | None,
+    maps: tuple[dict[str, Any], dict[str, np.ndarray]] | None,
     max_points: int,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the scripts of the page work on: plain facts, and arrays u8 and u16 by name."""
@@ -162,19 +162,17 @@ def _contents(
         meta = next(one.metadata for one in declared(result.run.filter) if one.name == slider.field)
         words = {name: meta.get(name) or "" for name in ("unit", "symbol")}
         facts["threshold"] = {"name": slider.field, "doc": meta["doc"]} | words
-    if layers is None:
+    if maps is None:
         return facts, {}
-    facts["grid"] = dataclasses.asdict(layers.grid)
-    facts["elevation"] = {"low": layers.low, "step": layers.step}
+    facts, arrays = facts | maps[0], maps[1]
     wrong = None
     flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
     if truth is not None:
         wrong = (result.ground != (truth == 1)) & (truth >= 0)
         flags = flags + (truth == 1) * np.uint8(_TRUE) + (truth >= 0) * np.uint8(_COUNTED)
-    facts["places"] = places_to_look_at(cloud, result, wrong, layers.grid.cell)
-    facts["doubt_of"] = layers.doubt_of
+    facts["places"] = places_to_look_at(cloud, result, wrong, facts["grid"]["cell"])
     facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
-    return facts, layers.arrays | sampled
+    return facts, arrays | sampled
 
 
 def _counts(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[str, Any]:
@@ -231,7 +229,7 @@ def _piece(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _texts(cloud: PointCloud, result: FilterResult, steps: Steps, layers: Layers | None) -> dict[str, str]:
+def _texts(cloud: PointCloud, result: FilterResult, steps: Steps) -> dict[str, str]:
     """The parts of the page that are HTML."""
     filter_, parameters = None if result.run is None else result.run.filter, ""
     if isinstance(filter_, Filter):
@@ -244,7 +242,7 @@ def _texts(cloud: PointCloud, result: FilterResult, steps: Steps, layers: Layers
         cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
         title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
         parameters = f"<section class=parameters>{title}{fields}{cited}</section>"
-    notes = _notes(cloud, result, steps, layers)
+    notes = _notes(cloud, result, steps)
     return {
         "style": _piece("page.css"),
         "code": "\n".join(map(_piece, SCRIPTS)),
@@ -256,14 +254,14 @@ def _texts(cloud: PointCloud, result: FilterResult, steps: Steps, layers: Layers
     }
 
 
-def _notes(cloud: PointCloud, result: FilterResult, steps: Steps, layers: Layers | None) -> list[str]:
+def _notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[str]:
     """What a reader has to know that is not as usual."""
     if not len(cloud):
         return ["The cloud has no points: there is nothing to show."]
     notes = []
-    if layers is None:
+    if cloud.valid is not None and not cloud.valid.any():
         notes.append("No point has valid coordinates: there is nothing to show.")
-    elif not layers.of_ground:
+    elif not result.ground.any():
         notes.append("No point is ground: relief and heights are those of the surface through all points.")
     if result.status.value > 0:
         notes.append(f"How the run ended: {result.status.message}.")

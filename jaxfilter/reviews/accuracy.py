@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import DAMAGED, InputError, OutputError
@@ -92,13 +93,11 @@ def accuracy_statement(
     raster = model if isinstance(model, Raster) else Raster.read(model)
     check_in_place(reading)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
-    notes: list[str] = []
-    inner = _covered("model" if raster is model else str(model), raster, collection)
+    name, notes = None if raster is model else str(model), list[str]()
+    inner = _covered(name or "model", raster, collection)
     made = _made(collection)
     points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
     if inner is not None:
-        import shapely
-
         notes.append("the model covers a part of the files: points and places in its bounds count")
         reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
     report = run_review(collection, page, None, ground, reading, run)
@@ -121,7 +120,7 @@ def accuracy_statement(
             "named_m2": sum(place["area"] for place in report.places),
         },
         "model": {
-            "file": str(model) if not isinstance(model, Raster) else None,
+            "file": name,
             "cell_m": raster.cell * collection.metre,
             "cells": raster.values.size,
             "km2": km2,
@@ -253,11 +252,9 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
     """The sum of the extra dimension doubt of all points, or of those in bounds; None if a file has none. Raises: InputError."""
     total = 0.0
     for source in collection:
-        if source.format == "text":
-            return None
-        header = open_las(source.place).header
-        doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
-        if doubt is None or doubt.data_type not in FLOATS:
+        header = None if source.format == "text" else open_las(source.place).header
+        extra = {} if header is None else {one.name: one for one in header.extra_dimensions() or ()}
+        if header is None or "doubt" not in extra or (doubt := extra["doubt"]).data_type not in FLOATS:
             return None
         for points, _ in read_points(header, inner):
             column = np.ascontiguousarray(points.array["ExtraBytes"][:, doubt.start : doubt.start + doubt.size])
