@@ -110,11 +110,7 @@ def report(
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
         slider = steps_of(result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
-        notify(0.5, "maps")
-        real = len(cloud) if cloud.valid is None else cloud.valid.sum()
-        maps = map_layers(cloud, result, truth) if real else None
-        notify(0.7, "points")
-        facts, arrays = _contents(cloud, result, truth, slider, maps, options.max_points)
+        facts, arrays = _contents(cloud, result, truth, slider, options.max_points, notify)
         notify(0.9, "page")
         with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
             packed = dict(zip(arrays, pool.map(pack, arrays.values()), strict=True))
@@ -145,8 +141,8 @@ def _contents(
     result: FilterResult,
     truth: np.ndarray | None,
     slider: Steps,
-    maps: tuple[dict[str, Any], dict[str, np.ndarray]] | None,
     max_points: int,
+    notify: Progress,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the scripts of the page work on: plain facts, and arrays u8 and u16 by name."""
     facts: dict[str, Any] = {
@@ -162,17 +158,19 @@ def _contents(
         meta = next(one.metadata for one in declared(result.run.filter) if one.name == slider.field)
         words = {name: meta.get(name) or "" for name in ("unit", "symbol")}
         facts["threshold"] = {"name": slider.field, "doc": meta["doc"]} | words
-    if maps is None:
+    notify(0.5, "maps")
+    if not len(cloud) or (cloud.valid is not None and not cloud.valid.any()):
         return facts, {}
-    facts, arrays = facts | maps[0], maps[1]
+    found, arrays = map_layers(cloud, result, truth)
     wrong = None
     flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
     if truth is not None:
         wrong = (result.ground != (truth == 1)) & (truth >= 0)
         flags = flags + (truth == 1) * np.uint8(_TRUE) + (truth >= 0) * np.uint8(_COUNTED)
-    facts["places"] = places_to_look_at(cloud, result, wrong, facts["grid"]["cell"])
-    facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
-    return facts, arrays | sampled
+    found["places"] = places_to_look_at(cloud, result, wrong, found["grid"]["cell"])
+    notify(0.7, "points")
+    found["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
+    return facts | found, arrays | sampled
 
 
 def _counts(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[str, Any]:

@@ -15,7 +15,9 @@ from ..core.grid import most_cells
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds, check_suffix
+from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of, ground_of
+from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
 
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
 
 SIDE = 2.0
 """Metres: side of the cells that places are made of."""
-OFF = 0.5
-"""Metres from which on terrain counts as off, as in :func:`jaxfilter.dtm_rmse`."""
 LIKELY = 0.06
 """Cells whose terrain is off by more than half a metre with this chance, or a larger one, are named."""
 LEAST_AREA = 40.0
@@ -88,8 +88,6 @@ class ReviewCells(NamedTuple):
         least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
-            from ..terrain.models import heights_of
-
             above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)

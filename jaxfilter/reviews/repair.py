@@ -21,9 +21,10 @@ from ..engines.tin.network import corner_positions, one_network, with_elevation
 from ..engines.tin.triangulation import triangulated
 from ..methods.default import default_filter
 from ..methods.ost import OST
-from ..reports.places import OFF, SIDE, STEEPEST_TERRAIN
+from ..reports.places import SIDE, STEEPEST_TERRAIN
 from ..steps.seeds import lowest_on_grid, rising
 from ..surveys.tiles import inside, part_of
+from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of
 from .verdicts import BRIDGE, FINE, GROUND, HALO, OBJECT, PLACE_RIM, WATER, VerdictSite, read_verdicts, sites_of
 
@@ -120,10 +121,9 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
     word, rim = _zones(points, site)
     was = points.gather(ground)
     seeds = was & ~np.isin(word, (BRIDGE, WATER)) & (rim != BRIDGE)
-    for one in site.verdicts:
-        if one.word == WATER:
-            inside = np.flatnonzero(_points_in(points, one.shape) & (word == WATER))
-            seeds[inside[_on_water(points.xyz[inside])]] = True
+    for shape in (one.shape for one in site.verdicts if one.word == WATER):
+        wet = np.flatnonzero(_points_in(points, shape) & (word == WATER))
+        seeds[wet[_on_water(points.xyz[wet])]] = True
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
         seeds[_lowest_seeds(points, places & ~filter_.low(points), seeds)] = True
