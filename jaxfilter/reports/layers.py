@@ -16,7 +16,7 @@ from ..plots.maps import rasterise, shade
 from .places import find_suspects, places_of
 
 MOST_PIXELS = 2_000_000
-"""Cells of a map."""
+"""Cells of a map, at most."""
 _DOUBTFUL = 0.2
 """Share of the points of a decision, those nearest to their threshold, that count as doubtful."""
 _PLACES, _PLACE, _SIDE = 12, 20, 20.0
@@ -41,7 +41,10 @@ def map_layers(
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     ground = result.ground & real
     xyz = cloud.xyz[real] if not real.all() else cloud.xyz
-    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, _cell(xyz), over=xyz)
+    width, height = np.maximum(np.ptp(xyz[:, :2], axis=0).astype(np.float64), 1.0).tolist()
+    side = math.sqrt(width * height / min(len(xyz), MOST_PIXELS))  # about one point per cell
+    cell = max(side, max(width, height) / 8000, 0.05)
+    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, cell, over=xyz)
     known = z[np.isfinite(z)]
     low, step = float(known.min()), max(float(np.ptp(known)) / 65534, QUANTUM)
     flat = grid.flat(cloud.xyz)
@@ -104,13 +107,6 @@ def places_to_look_at(
         local = ((np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed)
         shown = [(*xy, max(math.sqrt(one.area), least), one.reason) for xy, one in zip(local, listed, strict=True)]
     return [dict(zip(("x", "y", "side", "what"), one, strict=True)) for one in shown]
-
-
-def _cell(xyz: np.ndarray) -> float:
-    """Metres: about one point per cell, and at most :data:`MOST_PIXELS` cells."""
-    width, height = (max(float(v), 1.0) for v in (np.ptp(xyz[:, 0]), np.ptp(xyz[:, 1])))
-    side = math.sqrt(width * height / min(len(xyz), MOST_PIXELS))
-    return max(side, max(width, height) / 8000, 0.05)
 
 
 def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:

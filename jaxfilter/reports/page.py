@@ -25,7 +25,7 @@ from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
-from ..files.classes import class_changes, class_name
+from ..files.classes import Classes, Finding, class_name, table_of
 from ..files.disk import check_suffix, new_file
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
@@ -113,11 +113,10 @@ def report(
         facts, arrays = _contents(cloud, result, truth, slider, options.max_points, notify)
         notify(0.9, "page")
         with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
-            packed = dict(zip(arrays, pool.map(pack, arrays.values()), strict=True))
-        data = "\n".join(
-            f'<script type="application/octet-stream" id="data-{name}" data-bytes="{arrays[name].dtype.itemsize}">{text}</script>'
-            for name, text in packed.items()
-        )
+            data = "\n".join(
+                f'<script type="application/octet-stream" id="data-{name}" data-bytes="{values.dtype.itemsize}">{text}</script>'
+                for (name, values), text in zip(arrays.items(), pool.map(pack, arrays.values()), strict=True)
+            )
         name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
         values = {"title": escape(options.title or name), "facts": script_json(facts), "data": data}
         page = Template(_piece("page.html")).substitute(values | _texts(cloud, result, slider))
@@ -182,9 +181,7 @@ def _counts(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[s
     number = np.bincount(key, minlength=256 * 6 * len(labels)).reshape(256, 2, 3, len(labels))
     ground, every = number @ labels.astype(np.int64), number.sum(axis=-1)
     moves: dict[tuple[int, int], np.ndarray] = {}
-    kinds = np.arange(256, dtype=np.uint8)
-    one_each = PointCloud.from_arrays(np.zeros((256, 3)), classification=kinds, ignore_classes=())
-    lost = dict(class_changes(one_each, np.zeros(256, bool)).keys())  # from old class to that of a judged object
+    lost = table_of(Classes())[Finding.OTHER].tolist()  # by the old class, that of a judged object
     for c in np.flatnonzero(every.any(axis=(1, 2))).tolist():
         kept, judged, on_ground = every[c, 0].sum(), every[c, 1].sum(), ground[c, 1].sum(axis=0)
         for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):

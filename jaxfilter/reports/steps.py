@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ _FEWEST = 3
 _MEMORY = 2e9
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(NamedTuple):
     """Labels at every position of a slider.
 
     Attributes:
@@ -85,13 +84,12 @@ def steps_of(result: FilterResult, count: int | None, workers: int | None, progr
     values = step_values(filter_, field, count)
     sets = [filter_.replace(**{field: value}) for value in values]
     now = values.index(float(getattr(filter_, field)))
-    nested, points, size = last or tested, None, len(ground)
+    nested, points = last or tested, None
     each: Iterator[tuple[int, np.ndarray]] = ((number, passed(one, result)) for number, one in enumerate(sets))
     if not last:
         points = filter_.points_of(run.cloud)
         each = ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY)
-        size = len(points)
-    code: np.ndarray = np.zeros(size, np.uint8 if nested else np.uint16)
+    code: np.ndarray = np.zeros(len(ground if points is None else points), np.uint8 if nested else np.uint16)
     counts = [0] * len(sets)
     for done, (number, now_ground) in enumerate(each, 1):
         code += (~now_ground if nested else now_ground * (1 << number)).astype(code.dtype)

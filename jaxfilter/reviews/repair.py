@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -94,8 +94,7 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Repair:
+class Repair(NamedTuple):
     """Labels of n points after verdicts, bool[n] each: ``changed``; ``ground``; ``water``, the surface of water where that was
     said; ``deck``: points of bridges that were ground."""
 
@@ -122,8 +121,8 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
     was = points.gather(ground)
     seeds = was & ~np.isin(word, (BRIDGE, WATER)) & (rim != BRIDGE)
     for shape in (one.shape for one in site.verdicts if one.word == WATER):
-        wet = np.flatnonzero(_points_in(points, shape) & (word == WATER))
-        seeds[wet[_on_water(points.xyz[wet])]] = True
+        if len(wet := np.flatnonzero(_points_in(points, shape) & (word == WATER))):
+            seeds[wet[_on_water(points.xyz[wet])]] = True
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
         seeds[_lowest_seeds(points, places & ~filter_.low(points), seeds)] = True
@@ -168,8 +167,6 @@ def _lowest_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.
 
 def _on_water(xyz: np.ndarray) -> np.ndarray:
     """bool[k]: points f32[k, 3] of a place that are the surface of its water."""
-    if len(xyz) == 0:
-        return np.zeros(0, bool)
     near = xyz.astype(np.float64) - xyz.mean(axis=0, dtype=np.float64)
     columns, z = np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2]
     kept = z <= np.quantile(z, 0.25) + WAVES
