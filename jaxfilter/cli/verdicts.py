@@ -95,7 +95,7 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     per km2 by doubt, the area of places where the terrain may be wrong, density of ground points, voids, versions and
     parameters. Check points in another vertical datum than that of the model are refused.
     """
-    from ..reviews.accuracy import accuracy_statement, metres
+    from ..reviews.accuracy import accuracy_statement, format_metres
 
     if len(names) < 3:
         raise BadUsage("name the classified files, the model, and the page to write: CLASSIFIED... MODEL OUT.html")
@@ -113,7 +113,7 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     if points is not None:
         nva, vva = points["nva"], points["vva"]
         if nva["points"]:
-            text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
+            text += f"; NVA: RMSEz {format_metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
         if vva["points"]:
-            text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
+            text += f"; VVA: 95 % within {format_metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
     return Answer(facts, text)

@@ -48,15 +48,15 @@ def map_layers(
     known = z[np.isfinite(z)]
     low, step = float(known.min()), max(float(np.ptp(known)) / 65534, QUANTUM)
     flat = grid.flat(cloud.xyz)
-    above = _highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
-    doubt, doubt_of = _doubt_per_point(result)
+    above = _keep_highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
+    doubt, doubt_of = _rate_doubt(result)
     arrays = {
-        "shade": _quantised(shade(z, grid.cell), 1 / 254, np.uint8, low=1),
-        "elevation": _quantised(z - low, step, np.uint16),
-        "height": _quantised(above, 0.01, np.uint16),
+        "shade": _quantise(shade(z, grid.cell), 1 / 254, np.uint8, low=1),
+        "elevation": _quantise(z - low, step, np.uint16),
+        "height": _quantise(above, 0.01, np.uint16),
     }
     if doubt_of:
-        arrays["doubt"] = _quantised(_highest(doubt, flat, grid, real), 0.01, np.uint8)
+        arrays["doubt"] = _quantise(_keep_highest(doubt, flat, grid, real), 0.01, np.uint8)
     if reference is not None:
         errors = arrays["errors"] = np.zeros(grid.shape, np.uint8)
         for bit, wrong in ((1, (reference == 1) & ~ground), (2, ground & (reference == 0))):
@@ -65,7 +65,7 @@ def map_layers(
     return facts, {name: values[::-1] for name, values in arrays.items()}
 
 
-def _doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
+def _rate_doubt(result: FilterResult) -> tuple[np.ndarray, str]:
     """f32[n], 0 (sure) to 1; NaN where nothing is known; and where it comes from.
 
     A result's own ``doubt``, a probability, counts as it is. Otherwise the margin decides: of the points of each decision
@@ -109,7 +109,7 @@ def places_to_look_at(
     return [dict(zip(("x", "y", "side", "what"), one, strict=True)) for one in shown]
 
 
-def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:
+def _keep_highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:
     """f32[ny, nx]: the largest value of each cell; empty cells take that of their neighbours. NaN counts as no value."""
     known = real & np.isfinite(values)
     out = np.full(grid.ny * grid.nx, -np.inf, np.float32)
@@ -119,7 +119,7 @@ def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray)
     return np.where(np.isinf(filled), np.float32(np.nan), filled)
 
 
-def _quantised(values: np.ndarray, step: float, kind: type, low: int = 0) -> np.ndarray:
+def _quantise(values: np.ndarray, step: float, kind: type, low: int = 0) -> np.ndarray:
     """Values in steps from ``low`` on; 0 stands for NaN, and for no value, or the largest number if ``low`` is 0."""
     most = np.iinfo(kind).max
     none, top = (0, most) if low else (most, most - 1)

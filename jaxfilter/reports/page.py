@@ -106,11 +106,11 @@ def report(
     path, notify = Path(path), progress or silent
     check_suffix(path, PAGE_SUFFIXES)
     cloud = as_cloud(cloud)
-    result, truth = as_result(cloud, result), _truth(cloud, reference)
+    result, truth = as_result(cloud, result), _read_reference(cloud, reference)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
         slider = steps_of(result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
-        facts, arrays = _contents(cloud, result, truth, slider, options.max_points, notify)
+        facts, arrays = _collect(cloud, result, truth, slider, options.max_points, notify)
         notify(0.9, "page")
         with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
             data = "\n".join(
@@ -119,13 +119,13 @@ def report(
             )
         name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
         values = {"title": escape(options.title or name), "facts": script_json(facts), "data": data}
-        page = Template(_piece("page.html")).substitute(values | _texts(cloud, result, slider))
+        page = Template(_read_piece("page.html")).substitute(values | _write_texts(cloud, result, slider))
         temporary.write_text(page, encoding="utf-8")
     notify(1.0, "done")
     return path
 
 
-def _truth(cloud: PointCloud, reference: Any) -> np.ndarray | None:
+def _read_reference(cloud: PointCloud, reference: Any) -> np.ndarray | None:
     """i8[n], of a reference: 1 = ground, 0 = object, -1 = neither. Raises: InputError for another number of labels."""
     if reference is None:
         return None
@@ -135,7 +135,7 @@ def _truth(cloud: PointCloud, reference: Any) -> np.ndarray | None:
     return np.where(counted, truth, -1).astype(np.int8)
 
 
-def _contents(
+def _collect(
     cloud: PointCloud,
     result: FilterResult,
     truth: np.ndarray | None,
@@ -151,7 +151,7 @@ def _contents(
         "threshold": None,
         "points": len(cloud),
         "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
-        **_counts(cloud, truth, slider),
+        **_count(cloud, truth, slider),
     }
     if result.run is not None and slider.field is not None:
         meta = next(one.metadata for one in declared(result.run.filter) if one.name == slider.field)
@@ -172,7 +172,7 @@ def _contents(
     return facts | found, arrays | sampled
 
 
-def _counts(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[str, Any]:
+def _count(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[str, Any]:
     """Of all points, at every step: ground, classes before and after as ``write`` makes them, scores."""
     code, labels = steps.code.astype(np.int64), steps.table
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
@@ -220,11 +220,11 @@ def _sample(
     return {"number": len(rows), "of": total, "low": low, "step": step}, arrays
 
 
-def _piece(name: str) -> str:
+def _read_piece(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _texts(cloud: PointCloud, result: FilterResult, steps: Steps) -> dict[str, str]:
+def _write_texts(cloud: PointCloud, result: FilterResult, steps: Steps) -> dict[str, str]:
     """The parts of the page that are HTML."""
     filter_, parameters = None if result.run is None else result.run.filter, ""
     if isinstance(filter_, Filter):
@@ -237,19 +237,19 @@ def _texts(cloud: PointCloud, result: FilterResult, steps: Steps) -> dict[str, s
         cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
         title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
         parameters = f"<section class=parameters>{title}{fields}{cited}</section>"
-    notes = _notes(cloud, result, steps)
+    notes = _list_notes(cloud, result, steps)
     return {
-        "style": _piece("page.css"),
-        "code": "\n".join(map(_piece, SCRIPTS)),
+        "style": _read_piece("page.css"),
+        "code": "\n".join(map(_read_piece, SCRIPTS)),
         "method": escape("labels as given" if filter_ is None else type(filter_).__name__),
         "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in notes),
-        "about": _about(cloud, result),
+        "about": _describe(cloud, result),
         "parameters": parameters,
         "version": escape(__version__),
     }
 
 
-def _notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[str]:
+def _list_notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[str]:
     """What a reader has to know that is not as usual."""
     if not len(cloud):
         return ["The cloud has no points: there is nothing to show."]
@@ -265,7 +265,7 @@ def _notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[str]:
     return notes
 
 
-def _about(cloud: PointCloud, result: FilterResult) -> str:
+def _describe(cloud: PointCloud, result: FilterResult) -> str:
     """A table on the run and the cloud."""
     rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
     rows += [("points", len(cloud)), ("judged", int(cloud.candidate.sum()))]

@@ -31,7 +31,7 @@ LIKELY = 0.06
 LEAST_AREA = 40.0
 """Square metres that a place has at least."""
 WEIGHTS = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
-"""f64[2, 5]: constant and weights of :func:`evidence`, for results with doubt and without; fitted to tiles and scenes."""
+"""f64[2, 5]: constant and weights of :func:`gather_evidence`, for results with doubt and without; fitted to tiles and scenes."""
 CUT_REACH = 30.0
 """Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
 STEP = 0.7
@@ -109,15 +109,15 @@ def as_result(cloud: PointCloud, result: FilterResult | np.ndarray) -> FilterRes
     return result if isinstance(result, FilterResult) else FilterResult.of_labels(ground)
 
 
-def evidence(surface: ReviewCells) -> np.ndarray:
+def gather_evidence(surface: ReviewCells) -> np.ndarray:
     """f64[rows, columns, 4]: what speaks for an error, over a cell and the eight around it, as logarithms.
 
     Mean doubt of the points; share of ground points; ground points per square metre; slope of the terrain, rise over run. Small
     numbers are added, so that none is infinite. Without any doubt the first is zero.
     """
-    points, grounds = np.maximum(around(surface.points), 1), around(surface.grounds)
-    doubt = np.ones(points.shape) if surface.doubt is None else around(surface.doubt) / points + 0.01
-    density, slope = grounds / (9 * SIDE**2), _slope(surface.low - surface.height)
+    points, grounds = np.maximum(sum_around(surface.points), 1), sum_around(surface.grounds)
+    doubt = np.ones(points.shape) if surface.doubt is None else sum_around(surface.doubt) / points + 0.01
+    density, slope = grounds / (9 * SIDE**2), _slope_of(surface.low - surface.height)
     return np.log(np.stack([doubt, grounds / points + 0.05, density + 0.05, slope + 0.05], axis=-1))
 
 
@@ -149,13 +149,13 @@ def find_suspects(
         if window is not None:
             data |= _cells_in(grid, box) & ~_cells_in(grid, window)
     surface = ReviewCells.from_cloud(cloud, result, grid)
-    filled, figures, inner = surface.points > 0, evidence(surface), inward(data, SIDE)
-    seen = (around(surface.points) > 0) & (inner > 0)
+    filled, figures, inner = surface.points > 0, gather_evidence(surface), inward(data, SIDE)
+    seen = (sum_around(surface.points) > 0) & (inner > 0)
     weights = WEIGHTS[int(surface.doubt is None)]
     chance = np.where(seen, 1 / (1 + np.exp(-(weights[0] + figures @ weights[1:]))), 0)
     spacing, slope = np.exp(-figures[..., 2] / 2), np.exp(figures[..., 3]) - 0.05
     error = np.maximum(OFF, np.minimum(slope, STEEPEST_TERRAIN) * spacing)
-    fall, face = _cut(surface, filled, inner), _faces(surface, filled)
+    fall, face = _find_cut(surface, filled, inner), _find_faces(surface, filled)
     rise = np.where(face, surface.height, np.where(surface.ground, fall, 0))
     chance, error = np.where(rise > 0, np.maximum(chance, UNKNOWN), chance), np.maximum(error, rise)
     reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4).astype(np.int8)
@@ -170,7 +170,7 @@ def find_suspects(
     return found
 
 
-def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
+def sum_around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
     """f64[rows, columns]: sums over each cell and the eight around it."""
     for axis in range(2):
         values = scipy.ndimage.correlate1d(values, np.ones(3), axis, mode=mode)
@@ -183,24 +183,24 @@ def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:
     return ((x >= box[0]) & (x < box[2]))[None, :] & ((y >= box[1]) & (y < box[3]))[:, None]
 
 
-def _slope(z: np.ndarray) -> np.ndarray:
+def _slope_of(z: np.ndarray) -> np.ndarray:
     """f64[rows, columns]: rise over run, by the cells before and after."""
     wide = np.pad(z, 1, mode="edge")
     return np.hypot(wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]) / (2 * SIDE)
 
 
-def _faces(surface: ReviewCells, filled: np.ndarray) -> np.ndarray:
+def _find_faces(surface: ReviewCells, filled: np.ndarray) -> np.ndarray:
     """bool[rows, columns]: steep ground that was taken as an object, with the cells beside it.
 
     Of a cell and the eight around it most have no ground, are steeper than :data:`STEEPEST_TERRAIN`, and lie between their
     neighbours: walls and canopies do not.
     """
-    slope, bend = _slope(surface.low), np.abs(around(surface.low, "nearest") / 9 - surface.low)
+    slope, bend = _slope_of(surface.low), np.abs(sum_around(surface.low, "nearest") / 9 - surface.low)
     steep = filled & (surface.grounds == 0) & (slope > STEEPEST_TERRAIN) & (bend < slope * SIDE / 4)
-    return np.asarray(filled & (around((around(steep * 1.0) >= 5) * 1.0) > 0))
+    return np.asarray(filled & (sum_around((sum_around(steep * 1.0) >= 5) * 1.0) > 0))
 
 
-def _cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def _find_cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """f64[rows, columns]: metres that objects which the outline cuts stand above what surrounds them; zero in other cells.
 
     An object is a segment of the surface of lowest points whose neighbouring cells differ by less than :data:`STEP` times the

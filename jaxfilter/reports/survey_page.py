@@ -43,7 +43,7 @@ def write_survey_page(
 ) -> None:
     """Write the page beside the files of layers. ``facts``: names and values. Raises: OutputError."""
     cards = "".join(
-        f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_picture(layer, place)}</a>'
+        f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_draw(layer, place)}</a>'
         f"<span>{escape(layer.TITLE)}</span></div>"
         for layer, place in outputs.items()
     )
@@ -53,7 +53,7 @@ def write_survey_page(
         temporary.write_text(text, encoding="utf-8")
 
 
-def _picture(layer: Layer, place: Place) -> str:
+def _draw(layer: Layer, place: Place) -> str:
     """An image of a raster on this disk; nothing for others."""
     import rasterio
     from matplotlib import colormaps

@@ -94,16 +94,16 @@ def accuracy_statement(
     check_in_place(reading)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     name, notes = None if raster is model else str(model), list[str]()
-    inner = _covered(name or "model", raster, collection)
-    made = _made(collection)
-    points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
+    inner = _find_covered(name or "model", raster, collection)
+    made = _read_records(collection)
+    points = None if checkpoints is None else _compare(Path(checkpoints), raster, collection, notes)
     if inner is not None:
         notes.append("the model covers a part of the files: points and places in its bounds count")
         reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
     report = run_review(collection, page, None, ground, reading, run)
     cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
     km2 = cells * square / 1e6
-    doubt = _doubt(collection, inner)
+    doubt = _sum_doubt(collection, inner)
     if doubt is None:
         notes.append(
             "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
@@ -136,7 +136,7 @@ def accuracy_statement(
     return facts
 
 
-def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]) -> dict[str, Any]:
+def _compare(path: Path, model: Raster, collection: Collection, notes: list[str]) -> dict[str, Any]:
     """What check points say. Raises: InputError."""
     import pandas
 
@@ -150,8 +150,8 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     if missing := [name for name in "xyz" if name not in rows]:
         raise InputError(f"{path}: has no column {missing[0]}; it has {', '.join(rows)}: name them x, y and z")
     xyz = rows[["x", "y", "z"]].apply(pandas.to_numeric, errors="coerce").to_numpy(np.float64)
-    _same_datum(path, rows, model, collection, notes)
-    z, inside = _sampled(model, xyz[:, :2])
+    _check_datum(path, rows, model, collection, notes)
+    z, inside = _sample(model, xyz[:, :2])
     used = np.isfinite(z - xyz[:, 2])
     outside, unknown = ~inside, inside & ~used
     for which, words in (
@@ -173,15 +173,15 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
     return {
-        "nva": _figures(dz[~plants]),
-        "vva": _figures(dz[plants]),
-        "by_cover": {one: _figures(dz[covers == one]) for one in sorted(set(covers))},
+        "nva": _summarise(dz[~plants]),
+        "vva": _summarise(dz[plants]),
+        "by_cover": {one: _summarise(dz[covers == one]) for one in sorted(set(covers))},
         "outside": int(outside.sum()),
         "without_height": int(unknown.sum()),
     }
 
 
-def _figures(dz: np.ndarray) -> dict[str, Any]:
+def _summarise(dz: np.ndarray) -> dict[str, Any]:
     """Of differences f64[k], metres; None of no points."""
     names = ("mean_m", "rmse_m", "accuracy_95_m", "p95_m", "largest_m")
     if not len(dz):
@@ -191,7 +191,7 @@ def _figures(dz: np.ndarray) -> dict[str, Any]:
     return {"points": len(dz)} | dict(zip(names, map(float, figures), strict=True))
 
 
-def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sample(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[k]: heights of the model at positions f64[k, 2], bilinear, NaN beside a void; bool[k]: those inside its bounds."""
     from scipy.ndimage import map_coordinates
 
@@ -202,7 +202,7 @@ def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, z, np.nan), inside
 
 
-def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
+def _check_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
     """Raises: InputError for check points in another vertical datum than that of the model."""
     name = next((one for one in _DATUM if one in rows), None)
     stated = [] if name is None else sorted(set(rows[name].dropna().str.strip()))
@@ -213,7 +213,7 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
             notes.append(
                 f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
             )
-        elif (datum := _named(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
+        elif (datum := _name_datum(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
             raise InputError(
                 f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "
                 "such as with cs2cs of PROJ"
@@ -224,7 +224,7 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
         )
 
 
-def _named(text: str) -> str:
+def _name_datum(text: str) -> str:
     """The name of a vertical CRS by its code, or the text."""
     import pyproj
 
@@ -235,7 +235,7 @@ def _named(text: str) -> str:
     return vertical(crs) or text
 
 
-def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
+def _find_covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
     """The bounds of a model that covers a part of the files only; None if it covers all, but for less than a cell, or if there is
     text, which no area cuts. Raises: InputError if it lies beside them."""
     if not collection.count:
@@ -248,7 +248,7 @@ def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
     return None if text or max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) < cell else model.bounds
 
 
-def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
+def _sum_doubt(collection: Collection, inner: Bounds | None) -> float | None:
     """The sum of the extra dimension doubt of all points, or of those in bounds; None if a file has none. Raises: InputError."""
     total = 0.0
     for source in collection:
@@ -262,7 +262,7 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
     return total
 
 
-def _made(collection: Collection) -> dict[str, Any]:
+def _read_records(collection: Collection) -> dict[str, Any]:
     """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them.
     Raises: InputError for a damaged report."""
     found: dict[str, Any] = {"jaxfilter": __version__}
@@ -289,9 +289,11 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     if points is not None:
         figures = (("nva", "RMSEz (2023)", "rmse_m"), ("nva", "1.96 RMSEz (2014)", "accuracy_95_m"),
                    ("vva", "RMSEz (2023)", "rmse_m"), ("vva", "95th percentile (2014)", "p95_m"))  # fmt: skip
-        rows = [(f"{k.upper()}, {words}", points[k]["points"], metres(points[k][key])) for k, words, key in figures]
+        rows = [
+            (f"{k.upper()}, {words}", points[k]["points"], format_metres(points[k][key])) for k, words, key in figures
+        ]
         sections.append("<h2>Check points</h2>" + table(("", "points", "metres"), rows))
-        covers = [(name, one["points"], *(metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
+        covers = [(name, one["points"], *(format_metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
                   for name, one in points["by_cover"].items()]  # fmt: skip
         sections.append(table(("land cover", "points", "mean", "RMSEz", "95th percentile", "largest"), covers))
     said: list[tuple[str, Any]] = [
@@ -313,6 +315,6 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
             part.write_text(content, encoding="utf-8", errors="replace")
 
 
-def metres(value: float | None) -> str:
+def format_metres(value: float | None) -> str:
     """To a millimetre, in words where there is none."""
     return "none" if value is None else f"{value:.3f}"

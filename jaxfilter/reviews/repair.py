@@ -117,16 +117,16 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
         cloud: n points, of the window. ground: bool[n]. filter_: with a ``spacing``, metres.
     """
     points = filter_.points_of(cloud)
-    word, rim = _zones(points, site)
+    word, rim = _find_zones(points, site)
     was = points.gather(ground)
     seeds = was & ~np.isin(word, (BRIDGE, WATER)) & (rim != BRIDGE)
     for shape in (one.shape for one in site.verdicts if one.word == WATER):
-        if len(wet := np.flatnonzero(_points_in(points, shape) & (word == WATER))):
-            seeds[wet[_on_water(points.xyz[wet])]] = True
+        if len(wet := np.flatnonzero(_find_inside(points, shape) & (word == WATER))):
+            seeds[wet[_find_surface(points.xyz[wet])]] = True
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
-        seeds[_lowest_seeds(points, places & ~filter_.low(points), seeds)] = True
-    barred = _sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
+        seeds[_find_seeds(points, places & ~filter_.low(points), seeds)] = True
+    barred = _find_sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
     seeds &= ~barred
     grows = (np.isin(word, (GROUND, OBJECT)) | (rim != "")) & ~barred
     now = _grow_through(points, seeds, grows, filter_) if grows.any() and has_area(points.xyz[seeds]) else seeds
@@ -136,7 +136,7 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
     return Repair(changed, after, points.spread(water, False), deck)
 
 
-def _points_in(points: Points, shape: shapely.Geometry) -> np.ndarray:
+def _find_inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
     """bool[m]: points in a shape or on its border."""
     shapely.prepare(shape)
     cloud = points.cloud
@@ -144,20 +144,20 @@ def _points_in(points: Points, shape: shapely.Geometry) -> np.ndarray:
     return np.asarray(shapely.intersects_xy(shape, x, y))
 
 
-def _zones(points: Points, site: VerdictSite) -> tuple[np.ndarray, np.ndarray]:
+def _find_zones(points: Points, site: VerdictSite) -> tuple[np.ndarray, np.ndarray]:
     """What is said of each point, U[m], "" = nothing; and of a place in whose rim it lies, U[m]."""
     word, rim = (np.full(len(points), "", "U6") for _ in range(2))
     for said in (WATER, GROUND, BRIDGE, OBJECT, FINE):  # in a rim the last one counts
         for one in site.verdicts:
             if one.word == said:
-                word[_points_in(points, one.shape)] = said
+                word[_find_inside(points, one.shape)] = said
                 if said != FINE:
-                    rim[_points_in(points, one.shape.buffer(PLACE_RIM / points.cloud.units.xy))] = said
+                    rim[_find_inside(points, one.shape.buffer(PLACE_RIM / points.cloud.units.xy))] = said
     rim[word != ""] = ""
     return word, rim
 
 
-def _lowest_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def _find_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`SIDE` metres from the anchor, but for
     those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST_TERRAIN`."""
     low = lowest_on_grid(points, lattice_over(points.xyz, SIDE, points.offset(SIDE)), ~counted)
@@ -165,7 +165,7 @@ def _lowest_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.
     return low[~rising(points.xyz, low, others, BESIDE, STEEPEST_TERRAIN)]
 
 
-def _on_water(xyz: np.ndarray) -> np.ndarray:
+def _find_surface(xyz: np.ndarray) -> np.ndarray:
     """bool[k]: points f32[k, 3] of a place that are the surface of its water."""
     near = xyz.astype(np.float64) - xyz.mean(axis=0, dtype=np.float64)
     columns, z = np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2]
@@ -178,7 +178,7 @@ def _on_water(xyz: np.ndarray) -> np.ndarray:
     return np.asarray(kept)
 
 
-def _slope(xyz: np.ndarray, anchored: np.ndarray) -> float:
+def _slope_of(xyz: np.ndarray, anchored: np.ndarray) -> float:
     """Rise over run between means of squares of ground points f32[k, 3], averaged. The squares count from the anchor."""
     at = np.floor((xyz[:, :2] + anchored) / _BLOCK).astype(np.int64)
     at -= at.min(axis=0)
@@ -193,7 +193,7 @@ def _slope(xyz: np.ndarray, anchored: np.ndarray) -> float:
     return float(known.mean()) if len(known) else 0.0
 
 
-def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.ndarray:
+def _find_sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.ndarray:
     """bool[m]: points of the ``ground``, bool[m], that stick out of the plane of their neighbours.
 
     They do so by more than :data:`OFF` and what terrain rises by between two points. Of points ``among``, bool[m], half of those
@@ -212,7 +212,7 @@ def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.n
     corners = corner_positions(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), HALO)
     tin = triangulated(np.concatenate([xyz, with_elevation(corners, xyz)]), workers=1)
     over, dropped = np.zeros(len(tin.xyz), np.float32), np.zeros(len(first), bool)
-    most, among = OFF + points.spacing() * _slope(xyz, points.anchored()), among[rows[first]]
+    most, among = OFF + points.spacing() * _slope_of(xyz, points.anchored()), among[rows[first]]
     facets = tin.triangles[((tin.triangles >= 0) & (tin.triangles < len(first))).all(axis=1)].copy()
     while len(nodes := np.flatnonzero(among & ~dropped)):
         residuals(tin.xyz, tin.triangles, tin.neighbours, tin.where, nodes, over)
@@ -236,7 +236,7 @@ def _grow_through(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_:
     rows = np.flatnonzero(seeds | grows)
     some = dataclasses.replace(points, xyz=points.xyz[rows], weight=points.weight[rows])
     seed, none = seeds[rows], np.zeros(len(rows), bool)
-    around = np.full(len(rows), _slope(some.xyz[seed], points.anchored()), np.float32)
+    around = np.full(len(rows), _slope_of(some.xyz[seed], points.anchored()), np.float32)
     spacing = points.spacing() if filter_.spacing is None else filter_.spacing
     limits = filter_.limits(spacing, around, np.float32(0))
     kept = ("margin", "height", "slope")
