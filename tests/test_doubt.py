@@ -1,7 +1,6 @@
 """Doubt: where it is stated, what it is worth on scenes, how it is written, drawn and turned into a list of places."""
 
 import dataclasses
-import warnings
 
 import geopandas
 import laspy
@@ -111,19 +110,6 @@ def test_the_list_is_read_back_as_it_was_and_is_the_same_bytes_again(tmp_path, s
     before = path.read_bytes()
     jf.review(cloud, result, path, overwrite=True)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-@pytest.mark.parametrize("suffix, words", [(".gpkg", "has none: set"), (".geojson", "for degrees: set")])
-def test_a_list_without_crs_is_written_with_one_warning(tmp_path, suffix, words):
-    cloud, result = synthetic(np.linspace(0.0, 0.6, 240).reshape(12, 20))
-    path = tmp_path / f"places{suffix}"
-    with warnings.catch_warnings(record=True) as given:
-        warnings.simplefilter("always")
-        table = jf.review(dataclasses.replace(cloud, crs=None), result, path)
-    assert [one.category for one in given] == [jf.JaxfilterWarning]
-    assert str(path) in str(given[0].message) and words in str(given[0].message)
-    again = geopandas.read_file(path, engine="pyogrio").geometry.set_crs(None, allow_override=True)
-    assert table.crs is None and again.geom_equals_exact(table.geometry, 1e-3).all()
 
 
 def test_the_command_writes_places_and_doubt(tmp_path, scene):

@@ -224,13 +224,12 @@ STRIP = np.column_stack([np.arange(40) * 0.5, np.zeros(40), np.sin(np.arange(40)
     "xyz, ground, words",
     [
         (NOTHING, None, "The cloud has no points"),
-        (STRIP[:1], None, "fewer than four distinct positions"),
         (STRIP, None, "fewer than four distinct positions"),
         (np.repeat(STRIP, 3, axis=0) + np.tile(np.arange(3)[:, None], (40, 3)), "none", "No point is ground"),
         (np.full((5, 3), np.nan), None, "No point has valid coordinates"),
         (np.vstack([np.random.default_rng(1).random((300, 3)) * 20, [[np.nan] * 3]]), None, "There is no slider"),
     ],
-    ids=["no points", "one point", "a line", "no ground", "nothing valid", "one invalid"],
+    ids=["no points", "a line", "no ground", "nothing valid", "one invalid"],
 )
 def test_what_there_is_of_odd_clouds_is_shown(tmp_path, xyz, ground, words):
     cloud = jf.PointCloud.from_arrays(xyz, drop_invalid=True)

@@ -21,7 +21,7 @@ from jaxfilter.reviews.verdicts import HALO, PLACE_RIM, read_verdicts, sites_of
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
-UTM = pyproj.CRS.from_epsg(25832)
+UTM, TM = (pyproj.CRS(one) for one in (25832, "+proj=tmerc +lon_0=9 +x_0=500000 +datum=WGS84 +units=m"))
 WIDE, HIGH = 160.0, 120.0
 ONE = jf.RunOptions(workers=1)
 
@@ -150,16 +150,18 @@ def test_order_of_points_and_of_places_does_not_count(xyz, wrong):
     np.testing.assert_array_equal(made.ground[order], other.ground)
 
 
-@pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])
-def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwarn):
+@pytest.mark.parametrize("suffix, crs, words", [
+    (".gpkg", TM, ()), (".geojson", TM, ("GeoJSON cannot state the CRS unknown",)),
+    (".gpkg", None, ("has none: set",)), (".geojson", None, ("for degrees: set",)),
+])  # fmt: skip
+def test_places_are_read_back_in_a_crs_that_has_no_code_and_in_none(suffix, crs, words, tmp_path, recwarn):
     """GeoJSON cannot state such a CRS, and GDAL then takes coordinates for degrees."""
-    crs = pyproj.CRS("+proj=tmerc +lon_0=9 +x_0=500000 +datum=WGS84 +units=m")
     places = geopandas.GeoDataFrame({"verdict": ["object"]}, geometry=[box(0, 0, 10, 10)], crs=crs)
     write_features(tmp_path / f"list{suffix}", [places], "review")
     (one,), problems = read_verdicts(tmp_path / f"list{suffix}", crs, box(0, 0, 100, 100).bounds)
     assert not problems and one.shape.bounds == box(0, 0, 10, 10).bounds
     said = [str(one.message) for one in recwarn if issubclass(one.category, jf.JaxfilterWarning)]
-    assert len(said) == (suffix == ".geojson") and all("GeoJSON cannot state the CRS unknown" in text for text in said)
+    assert len(said) == len(words) and all(f"list{suffix}" in text and words[0] in text for text in said)
 
 
 def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(xyz, wrong):
