@@ -286,14 +286,16 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     """The page and the JSON. Raises: OutputError."""
     points, labels, model = facts["checkpoints"], facts["labels"], facts["model"]
     sections, wrong = [], labels["expected_wrong_per_km2"]
+
+    def metres(value: float | None) -> str:
+        return "none" if value is None else f"{value:.3f}"
+
     if points is not None:
         figures = (("nva", "RMSEz (2023)", "rmse_m"), ("nva", "1.96 RMSEz (2014)", "accuracy_95_m"),
                    ("vva", "RMSEz (2023)", "rmse_m"), ("vva", "95th percentile (2014)", "p95_m"))  # fmt: skip
-        rows = [
-            (f"{k.upper()}, {words}", points[k]["points"], format_metres(points[k][key])) for k, words, key in figures
-        ]
+        rows = [(f"{k.upper()}, {words}", points[k]["points"], metres(points[k][key])) for k, words, key in figures]
         sections.append("<h2>Check points</h2>" + table(("", "points", "metres"), rows))
-        covers = [(name, one["points"], *(format_metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
+        covers = [(name, one["points"], *(metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
                   for name, one in points["by_cover"].items()]  # fmt: skip
         sections.append(table(("land cover", "points", "mean", "RMSEz", "95th percentile", "largest"), covers))
     said: list[tuple[str, Any]] = [
@@ -313,8 +315,3 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
             part.write_text(content, encoding="utf-8", errors="replace")
-
-
-def format_metres(value: float | None) -> str:
-    """To a millimetre, in words where there is none."""
-    return "none" if value is None else f"{value:.3f}"
