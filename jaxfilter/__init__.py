@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from .reports.info import info
     from .reports.page import ReportOptions, report
     from .reports.places import review
+    from .reviews.accuracy import accuracy_statement
+    from .reviews.repair import apply
+    from .reviews.survey import apply_survey, review_survey
     from .scoring import Scores, evaluate
     from .steps.batch import Batch
     from .steps.grid_filter import soft_labels
-    from .surveys.accuracy import accuracy_statement
     from .surveys.collection import Collection, open
     from .surveys.ground import ground
     from .surveys.heights import heights
     from .surveys.model import terrain_model
     from .surveys.options import RunOptions
     from .surveys.products import products
-    from .surveys.verdicts import apply, apply_survey, review_survey
     from .sweeps.batch import batch
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
@@ -57,9 +58,9 @@ _HOMES = {
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports.page": ("report",
     "ReportOptions"), "reports.places": ("review",), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
     "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",),
-    "terrain.layers": ("breaklines", "chm",
-    "contours", "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
-    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
+    "terrain.layers": ("breaklines", "chm", "contours", "count", "density", "dsm", "hillshade", "voids"),
+    "reviews.repair": ("apply",), "reviews.survey": ("apply_survey", "review_survey"),
+    "reviews.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

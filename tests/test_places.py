@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 
-import laspy
 import numpy as np
 import pytest
 import shapely
@@ -13,7 +12,7 @@ from commands import facts, run
 from test_tiles_run import Here
 
 import jaxfilter as jf
-from jaxfilter.reports.places import REASONS, SIDE, Suspects, places_of, suspects
+from jaxfilter.reports.places import REASONS, SIDE, find_suspects, places_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 CUT = REASONS[0]
@@ -34,7 +33,7 @@ def found(xyz, ground=True, **how):
     """Places of labels alone."""
     cloud = jf.PointCloud.from_arrays(xyz, **how.pop("reading", {}))
     labels = np.broadcast_to(ground, len(xyz)).copy()
-    return places_of(suspects(cloud, labels, **how), cloud.units.xy)
+    return places_of(find_suspects(cloud, labels, **how), cloud.units.xy)
 
 
 def cut(*given, **how):
@@ -150,16 +149,12 @@ def test_the_edge_of_a_window_is_no_border():
     box = (0.0, 0.0, 60.0, 60.0)
     assert len(cut(xyz, footprints=[box], window=(-20.0, -20.0, 80.0, 80.0))) == 1
     assert cut(xyz, footprints=[(-60.0, 0.0, 60.0, 60.0)], window=(0.0, 0.0, 60.0, 60.0)) == []
-    west, east = (suspects(jf.PointCloud.from_arrays(xyz), np.ones(len(xyz), bool), core=core) for core in (
+    west, east = (find_suspects(jf.PointCloud.from_arrays(xyz), np.ones(len(xyz), bool), core=core) for core in (
         (-2.0, -2.0, 6.0, 62.0), (6.0, -2.0, 62.0, 62.0),
     ))  # fmt: skip
-    whole, joined = found(xyz), places_of(Suspects.together([east, west]), 1.0)
+    whole, joined = found(xyz), places_of(np.concatenate([east, west]), 1.0)
     assert [place.facts() for place in joined] == [place.facts() for place in whole]
-    assert len(west.cell) and len(east.cell)
-
-
-def test_a_cloud_without_points_has_no_places():
-    assert len(jf.review(jf.PointCloud.from_arrays(np.zeros((0, 3))), np.zeros(0, bool))) == 0
+    assert len(west) and len(east)
 
 
 @pytest.mark.slow
@@ -170,11 +165,7 @@ def test_stray_points_are_no_error_in_a_run(tmp_path):
 
 
 def write(path, xyz):
-    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
-    las.x, las.y, las.z = xyz.T
-    las.return_number[:] = las.number_of_returns[:] = 1
-    las.write(path)
+    jf.write(path, jf.PointCloud.from_arrays(xyz), None)
 
 
 def test_a_neighbour_in_the_halo_decides(tmp_path):
@@ -185,7 +176,7 @@ def test_a_neighbour_in_the_halo_decides(tmp_path):
         write(tmp_path / f"{name}.laz", xyz[rows])
     filter_ = jf.SMRF(window=8.0)
     alone = jf.read(tmp_path / "west.laz", anchor=(0.0, 0.0))
-    expected = [place.facts() for place in places_of(suspects(alone, filter_(alone)), 1.0)]
+    expected = [place.facts() for place in places_of(find_suspects(alone, filter_(alone)), 1.0)]
     assert expected[0]["reason"] == CUT and expected[0]["area"] == pytest.approx(300, rel=0.2)
     both = [tmp_path / "west.laz", tmp_path / "east.laz"]
     reports = [

@@ -47,13 +47,13 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed. OUT may be - for standard output.
     """
     from ..files.reading import read
-    from ..reports.page import SUFFIXES, ReportOptions
+    from ..reports.page import PAGE_SUFFIXES, ReportOptions
     from ..reports.page import report as write_report
 
     name, overwrite = target, options["overwrite"]
     if str(target) == "-":
-        target = session.piped(SUFFIXES[0])
-    check_target(target, overwrite, SUFFIXES)
+        target = session.piped(PAGE_SUFFIXES[0])
+    check_target(target, overwrite, PAGE_SUFFIXES)
     if target.exists() and target.samefile(source):
         raise BadUsage(f"{target} is both input and output: name another file")
     how, recipe, shown = take(Reading, options), take_recipe(options), take(ReportOptions, options)

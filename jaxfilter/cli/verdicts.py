@@ -31,8 +31,8 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     changes the files. jaxfilter ground IN OUT --review places.gpkg finds places better, since OST knows how sure it is.
     """
     from ..files.vectors import SUFFIXES
-    from ..reports.verdicts import WORDS
-    from ..surveys.verdicts import review_survey
+    from ..reviews.survey import review_survey
+    from ..reviews.verdicts import WORDS
 
     files = open_files(session, names, options, SUFFIXES)
     report = files.do(review_survey, files.out, classes)
@@ -63,7 +63,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     named and left out. Then the exit code is 1.
     """
     from ..files.classes import Classes
-    from ..surveys.verdicts import apply_survey
+    from ..reviews.survey import apply_survey
 
     reading, run, classes = take(Reading, options), take_run(options, session), take(Classes, options)
     collection = open_survey(session, names, reading)
@@ -95,14 +95,15 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     per km2 by doubt, the area of places where the terrain may be wrong, density of ground points, voids, versions and
     parameters. Check points in another vertical datum than that of the model are refused.
     """
-    from ..surveys.accuracy import accuracy_statement, metres
+    from ..reports.page import PAGE_SUFFIXES
+    from ..reviews.accuracy import accuracy_statement
 
     if len(names) < 3:
         raise BadUsage("name the classified files, the model, and the page to write: CLASSIFIED... MODEL OUT.html")
     *inputs, model, out = names
     check_inputs([model])
     reading, run, ground = take(Reading, options), take_run(options, session), options["ground"]
-    check_target(Path(out), run.overwrite, (".html", ".htm"))
+    check_target(Path(out), run.overwrite, PAGE_SUFFIXES)
     collection = open_survey(session, inputs, reading)
     with session.step("run", collection.count):
         facts = accuracy_statement(collection, model, out, checkpoints, ground=ground, reading=reading, run=run)
@@ -113,7 +114,7 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     if points is not None:
         nva, vva = points["nva"], points["vva"]
         if nva["points"]:
-            text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
+            text += f"; NVA: RMSEz {nva['rmse_m']:.3f} m of {count(nva['points'], 'point')}"
         if vva["points"]:
-            text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
+            text += f"; VVA: 95 % within {vva['p95_m']:.3f} m of {count(vva['points'], 'point')}"
     return Answer(facts, text)

@@ -69,8 +69,8 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
 def _counts(values: np.ndarray | None) -> dict[int, int] | None:
     if values is None:
         return None
-    counts = np.bincount(values, minlength=1)
-    return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
+    found, counts = np.unique(values, return_counts=True)
+    return dict(zip(found.tolist(), counts.tolist(), strict=True))
 
 
 def _echo_counts(cloud: PointCloud) -> dict[str, int] | None:

@@ -1,9 +1,10 @@
-"""The maps of a report: rasters of the ground, of heights above it, of doubt and of errors."""
+"""The maps of a report: rasters of the ground, of heights above it, of doubt and of errors; and places to look at."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
@@ -12,64 +13,59 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.grid import Grid, grid_over
 from ..core.result import Decision, FilterResult
 from ..plots.maps import rasterise, shade
-from .places import places_of, suspects
+from .places import find_suspects, places_of
 
-MAX_PIXELS = 2_000_000
+MOST_PIXELS = 2_000_000
+"""Cells of a map, at most."""
 _DOUBTFUL = 0.2
 """Share of the points of a decision, those nearest to their threshold, that count as doubtful."""
 _PLACES, _PLACE, _SIDE = 12, 20, 20.0
 """Places to look at; the side of one in cells and in metres, at least."""
 
 
-class Layers(NamedTuple):
-    """Rasters of one grid [ny, nx], row 0 being the northern edge.
+def map_layers(
+    cloud: PointCloud, result: FilterResult, reference: np.ndarray | None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The maps of a cloud with at least one valid point. ``reference``: i8[n], 1 = ground, 0 = object.
 
-    Attributes:
-        grid: local metres; its own row 0 is the southern edge.
-        arrays: ``shade``: u8, relief; 0 where there is no surface. ``elevation``: u16; local metres = ``low`` + value * ``step``;
-            65535 = none. ``height``: u16, centimetres of the highest point above the ground; 65535 = no point. ``doubt``, if
-            there is any: u8, per cent of the most doubtful point; 255 = no point was judged. ``errors``, of a reference: u8;
-            bit 0: ground lost, bit 1: objects accepted.
-        of_ground: the surface goes through ground points; False if there are none, and it goes through all.
-        doubt_of: what doubt is made of: "probability", "margin" or "".
+    Returns: plain facts: ``grid``, whose own row 0 is the southern edge; ``low`` and ``step`` of the ``elevation``; ``doubt_of``,
+    what doubt is made of: "probability", "margin" or "". And rasters [ny, nx], row 0 being the northern edge; the surface goes
+    through all points if none is ground:
+
+    - ``shade``: u8, relief; 0 where there is no surface.
+    - ``elevation``: u16; local metres = ``low`` + value * ``step``; 65535 = none.
+    - ``height``: u16, centimetres of the highest point above the ground; 65535 = no point.
+    - ``doubt``, if there is any: u8, per cent of the most doubtful point; 255 = no point was judged.
+    - ``errors``, of a reference: u8; bit 0: ground lost, bit 1: objects accepted.
     """
-
-    grid: Grid
-    arrays: dict[str, np.ndarray]
-    low: float
-    step: float
-    of_ground: bool
-    doubt_of: str
-
-
-def layers_of(cloud: PointCloud, result: FilterResult, reference: np.ndarray | None) -> Layers:
-    """The maps of a cloud with at least one valid point. ``reference``: i8[n], 1 = ground, 0 = object."""
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     ground = result.ground & real
     xyz = cloud.xyz[real] if not real.all() else cloud.xyz
-    grid = grid_over(xyz, _cell(xyz))
-    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, grid.cell, over=xyz)
+    width, height = np.maximum(np.ptp(xyz[:, :2], axis=0).astype(np.float64), 1.0).tolist()
+    side = math.sqrt(width * height / min(len(xyz), MOST_PIXELS))  # about one point per cell
+    cell = max(side, max(width, height) / 8000, 0.05)
+    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, cell, over=xyz)
     known = z[np.isfinite(z)]
     low, step = float(known.min()), max(float(np.ptp(known)) / 65534, QUANTUM)
     flat = grid.flat(cloud.xyz)
-    above = _highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
-    doubt, doubt_of = doubt_per_point(result)
+    above = _keep_highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
+    doubt, doubt_of = _rate_doubt(result)
     arrays = {
-        "shade": _quantised(shade(z, grid.cell), 1 / 254, np.uint8, low=1),
-        "elevation": _quantised(z - low, step, np.uint16),
-        "height": _quantised(above, 0.01, np.uint16),
+        "shade": _quantise(shade(z, grid.cell), 1 / 254, np.uint8, low=1),
+        "elevation": _quantise(z - low, step, np.uint16),
+        "height": _quantise(above, 0.01, np.uint16),
     }
     if doubt_of:
-        arrays["doubt"] = _quantised(_highest(doubt, flat, grid, real), 0.01, np.uint8)
+        arrays["doubt"] = _quantise(_keep_highest(doubt, flat, grid, real), 0.01, np.uint8)
     if reference is not None:
         errors = arrays["errors"] = np.zeros(grid.shape, np.uint8)
         for bit, wrong in ((1, (reference == 1) & ~ground), (2, ground & (reference == 0))):
             errors.reshape(-1)[flat[wrong & real]] |= np.uint8(bit)
-    northern_first = {name: values[::-1] for name, values in arrays.items()}
-    return Layers(grid, northern_first, low, step, bool(ground.any()), doubt_of)
+    facts = {"grid": dataclasses.asdict(grid), "elevation": {"low": low, "step": step}, "doubt_of": doubt_of}
+    return facts, {name: values[::-1] for name, values in arrays.items()}
 
 
-def doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
+def _rate_doubt(result: FilterResult) -> tuple[np.ndarray, str]:
     """f32[n], 0 (sure) to 1; NaN where nothing is known; and where it comes from.
 
     A result's own ``doubt``, a probability, counts as it is. Otherwise the margin decides: of the points of each decision
@@ -91,14 +87,11 @@ def doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
     return out, "margin"
 
 
-def places(
+def places_to_look_at(
     cloud: PointCloud, found: FilterResult, wrong: np.ndarray | None, cell: float
-) -> list[dict[str, float | str]]:
-    """Where to look first: squares with most errors, or without any known the places of :func:`jaxfilter.review`.
-
-    Args:
-        cloud: with at least one valid point.
-        wrong: bool[n], errors against a reference, or None. cell: of the maps, metres.
+) -> list[dict[str, Any]]:
+    """Where to look first: squares with most errors, ``wrong``, bool[n], or without any known the places of
+    :func:`jaxfilter.review`.
 
     Returns: for each ``x`` and ``y``, local metres, the ``side`` of a square around it, and ``what``: why it is shown.
     """
@@ -108,23 +101,15 @@ def places(
         at, count = np.unique(grid.flat(cloud.xyz[wrong]), return_counts=True)
         row, column = np.divmod(at[np.argsort(-count, kind="stable")[:_PLACES]], grid.nx)
         x, y = grid.x0 + (column + 0.5) * least, grid.y0 + (row + 0.5) * least
-        return [{"x": float(a), "y": float(b), "side": least, "what": "errors"} for a, b in zip(x, y, strict=True)]
-    listed = places_of(suspects(cloud, found), cloud.units.xy)[:_PLACES]
-    local = [(np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed]
-    return [
-        {"x": float(x), "y": float(y), "side": max(math.sqrt(one.area), least), "what": one.reason}
-        for (x, y), one in zip(local, listed, strict=True)
-    ]
+        shown = [(*xy, least, "errors") for xy in zip(x, y, strict=True)]
+    else:
+        listed = places_of(find_suspects(cloud, found), cloud.units.xy)[:_PLACES]
+        local = ((np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed)
+        shown = [(*xy, max(math.sqrt(one.area), least), one.reason) for xy, one in zip(local, listed, strict=True)]
+    return [dict(zip(("x", "y", "side", "what"), one, strict=True)) for one in shown]
 
 
-def _cell(xyz: np.ndarray) -> float:
-    """Metres: about one point per cell, and at most :data:`MAX_PIXELS` cells."""
-    width, height = (max(float(v), 1.0) for v in (np.ptp(xyz[:, 0]), np.ptp(xyz[:, 1])))
-    side = math.sqrt(width * height / min(len(xyz), MAX_PIXELS))
-    return max(side, max(width, height) / 8000, 0.05)
-
-
-def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:
+def _keep_highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:
     """f32[ny, nx]: the largest value of each cell; empty cells take that of their neighbours. NaN counts as no value."""
     known = real & np.isfinite(values)
     out = np.full(grid.ny * grid.nx, -np.inf, np.float32)
@@ -134,7 +119,7 @@ def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray)
     return np.where(np.isinf(filled), np.float32(np.nan), filled)
 
 
-def _quantised(values: np.ndarray, step: float, kind: type, low: int = 0) -> np.ndarray:
+def _quantise(values: np.ndarray, step: float, kind: type, low: int = 0) -> np.ndarray:
     """Values in steps from ``low`` on; 0 stands for NaN, and for no value, or the largest number if ``low`` is 0."""
     most = np.iinfo(kind).max
     none, top = (0, most) if low else (most, most - 1)

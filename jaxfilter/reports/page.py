@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
-import math
 import os
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -26,20 +25,20 @@ from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
-from ..files.classes import class_changes, class_name
+from ..files.classes import Classes, Finding, class_name, table_of
 from ..files.disk import check_suffix, new_file
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
-from .layers import Layers, layers_of, places
+from .layers import map_layers, places_to_look_at
 from .places import as_result
 from .steps import Steps, steps_of
 
-SUFFIXES = (".html", ".htm")
+PAGE_SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
 _JUDGED, _TRUE, _COUNTED = 1, 2, 4
 """Bits of a point's flags, as in data.js."""
-_LEVEL = 4
-"""Of the compression of arrays."""
+_COMPRESSION = 4
+"""Level of that of arrays."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,31 +66,6 @@ class ReportOptions:
         check_resources(self.workers)
         check_whole(0, steps=0 if self.steps is None else self.steps)
         check_whole(max_points=self.max_points)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Labelled:
-    """What a page is about: n points, their labels, and a reference i8[n], 1 = ground, 0 = object, -1 = neither."""
-
-    cloud: PointCloud
-    result: FilterResult
-    reference: np.ndarray | None
-
-    @classmethod
-    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, reference: Any) -> _Labelled:
-        """Raises: InputError for labels of another length or dtype."""
-        result = as_result(cloud, result)
-        if reference is None:
-            return cls(cloud, result, None)
-        truth, counted = reference_labels(reference)
-        if len(truth) != len(cloud):
-            raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
-        return cls(cloud, result, np.where(counted, truth, -1).astype(np.int8))
-
-    @property
-    def filter(self) -> Any:
-        """The filter whose result this is; None for labels of another origin."""
-        return None if self.result.run is None else self.result.run.filter
 
 
 def report(
@@ -130,73 +104,84 @@ def report(
     'report.html'
     """
     path, notify = Path(path), progress or silent
-    check_suffix(path, SUFFIXES)
-    what = _Labelled.of(as_cloud(cloud), result, reference)
+    check_suffix(path, PAGE_SUFFIXES)
+    cloud = as_cloud(cloud)
+    result, truth = as_result(cloud, result), _read_reference(cloud, reference)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
-        slider = steps_of(what.result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
-        notify(0.5, "maps")
-        real = len(what.cloud) if what.cloud.valid is None else what.cloud.valid.sum()
-        layers = layers_of(what.cloud, what.result, what.reference) if real else None
-        notify(0.7, "points")
-        facts, arrays = _contents(what, slider, layers, options.max_points)
+        slider = steps_of(result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
+        facts, arrays = _collect(cloud, result, truth, slider, options.max_points, notify)
         notify(0.9, "page")
         with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
-            packed = dict(zip(arrays, pool.map(pack, arrays.values()), strict=True))
-        data = "\n".join(
-            f'<script type="application/octet-stream" id="data-{name}" data-bytes="{arrays[name].dtype.itemsize}">{text}</script>'
-            for name, text in packed.items()
-        )
-        name = "the cloud" if what.cloud.source is None else Path(what.cloud.source.path).name
+            data = "\n".join(
+                f'<script type="application/octet-stream" id="data-{name}" data-bytes="{values.dtype.itemsize}">{text}</script>'
+                for (name, values), text in zip(arrays.items(), pool.map(pack, arrays.values()), strict=True)
+            )
+        name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
         values = {"title": escape(options.title or name), "facts": script_json(facts), "data": data}
-        page = Template(_piece("page.html")).substitute(values | _texts(what, slider, layers))
+        page = Template(_read_piece("page.html")).substitute(values | _write_texts(cloud, result, slider))
         temporary.write_text(page, encoding="utf-8")
     notify(1.0, "done")
     return path
 
 
-def _contents(
-    what: _Labelled, slider: Steps, layers: Layers | None, max_points: int
+def _read_reference(cloud: PointCloud, reference: Any) -> np.ndarray | None:
+    """i8[n], of a reference: 1 = ground, 0 = object, -1 = neither. Raises: InputError for another number of labels."""
+    if reference is None:
+        return None
+    truth, counted = reference_labels(reference)
+    if len(truth) != len(cloud):
+        raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
+    return np.where(counted, truth, -1).astype(np.int8)
+
+
+def _collect(
+    cloud: PointCloud,
+    result: FilterResult,
+    truth: np.ndarray | None,
+    slider: Steps,
+    max_points: int,
+    notify: Progress,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the scripts of the page work on: plain facts, and arrays u8 and u16 by name."""
-    cloud = what.cloud
     facts: dict[str, Any] = {
         "step": slider.now,
         "values": slider.values,
         "nested": slider.nested,
-        "threshold": _threshold(what.filter, slider.field),
+        "threshold": None,
         "points": len(cloud),
         "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
-        **_counts(what, slider),
+        **_count(cloud, truth, slider),
     }
-    if layers is None:
+    if result.run is not None and slider.field is not None:
+        meta = next(one.metadata for one in declared(result.run.filter) if one.name == slider.field)
+        words = {name: meta.get(name) or "" for name in ("unit", "symbol")}
+        facts["threshold"] = {"name": slider.field, "doc": meta["doc"]} | words
+    notify(0.5, "maps")
+    if not len(cloud) or (cloud.valid is not None and not cloud.valid.any()):
         return facts, {}
-    facts["grid"] = dataclasses.asdict(layers.grid)
-    facts["elevation"] = {"low": layers.low, "step": layers.step}
+    found, arrays = map_layers(cloud, result, truth)
     wrong = None
     flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
-    if what.reference is not None:
-        truth, counted = what.reference == 1, what.reference >= 0
-        wrong = (what.result.ground != truth) & counted
-        flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
-    facts["places"] = places(cloud, what.result, wrong, layers.grid.cell)
-    facts["doubt_of"] = layers.doubt_of
-    facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
-    return facts, layers.arrays | sampled
+    if truth is not None:
+        wrong = (result.ground != (truth == 1)) & (truth >= 0)
+        flags = flags + (truth == 1) * np.uint8(_TRUE) + (truth >= 0) * np.uint8(_COUNTED)
+    found["places"] = places_to_look_at(cloud, result, wrong, found["grid"]["cell"])
+    notify(0.7, "points")
+    found["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
+    return facts | found, arrays | sampled
 
 
-def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
+def _count(cloud: PointCloud, truth: np.ndarray | None, steps: Steps) -> dict[str, Any]:
     """Of all points, at every step: ground, classes before and after as ``write`` makes them, scores."""
-    cloud, code, labels = what.cloud, steps.code.astype(np.int64), steps.table
+    code, labels = steps.code.astype(np.int64), steps.table
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-    kind = 0 if what.reference is None else what.reference + 1
+    kind = 0 if truth is None else truth + 1
     key = ((old.astype(np.int64) * 2 + cloud.candidate) * 3 + kind) * len(labels) + code
     number = np.bincount(key, minlength=256 * 6 * len(labels)).reshape(256, 2, 3, len(labels))
     ground, every = number @ labels.astype(np.int64), number.sum(axis=-1)
     moves: dict[tuple[int, int], np.ndarray] = {}
-    kinds = np.arange(256, dtype=np.uint8)
-    one_each = PointCloud.from_arrays(np.zeros((256, 3)), classification=kinds, ignore_classes=())
-    lost = dict(class_changes(one_each, np.zeros(256, bool)).keys())  # from old class to that of a judged object
+    lost = table_of(Classes())[Finding.OTHER].tolist()  # by the old class, that of a judged object
     for c in np.flatnonzero(every.any(axis=(1, 2))).tolist():
         kept, judged, on_ground = every[c, 0].sum(), every[c, 1].sum(), ground[c, 1].sum(axis=0)
         for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):
@@ -204,7 +189,7 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     classes = [[*pair, points.tolist()] for pair, points in sorted(moves.items()) if points.any()]
     names = {number: class_name(number) for pair in moves for number in pair}
     out: dict[str, Any] = {"ground": ground.sum(axis=(0, 1, 2)).tolist(), "classes": classes, "class_names": names}
-    if what.reference is not None:
+    if truth is not None:
         total, hit = every.sum(axis=(0, 1)), ground.sum(axis=(0, 1))
         confusions = [
             Scores.from_confusion(np.array([[hit[2, k], total[2] - hit[2, k]], [hit[1, k], total[1] - hit[1, k]]]))
@@ -213,14 +198,6 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
         out["scores"] = {one: [getattr(scores, one) for scores in confusions] for one in SCORES}
         out["confusion"] = [scores.confusion for scores in confusions]
     return out
-
-
-def _threshold(filter_: Any, field: str | None) -> dict[str, str] | None:
-    """What the slider moves, in words."""
-    if field is None:
-        return None
-    meta = next(one.metadata for one in declared(filter_) if one.name == field)
-    return {"name": field, "doc": meta["doc"], "unit": meta.get("unit") or "", "symbol": meta.get("symbol") or ""}
 
 
 def _sample(
@@ -243,57 +220,53 @@ def _sample(
     return {"number": len(rows), "of": total, "low": low, "step": step}, arrays
 
 
-def _piece(name: str) -> str:
+def _read_piece(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, str]:
+def _write_texts(cloud: PointCloud, result: FilterResult, steps: Steps) -> dict[str, str]:
     """The parts of the page that are HTML."""
-    filter_, parameters = what.filter, ""
+    filter_, parameters = None if result.run is None else result.run.filter, ""
     if isinstance(filter_, Filter):
+        rows = []
+        for field in declared(filter_):
+            value, meta = getattr(filter_, field.name), field.metadata
+            default = "" if value == field.default else f" (default {field.default})"
+            rows.append((field.name, f"{value}{default}", meta["symbol"], meta["unit"], meta["doc"]))
+        fields = table(("parameter", "value", "symbol", "unit", "meaning"), rows)
         cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
         title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
-        parameters = f"<section class=parameters>{title}{_parameters(filter_)}{cited}</section>"
+        parameters = f"<section class=parameters>{title}{fields}{cited}</section>"
+    notes = _list_notes(cloud, result, steps)
     return {
-        "style": _piece("page.css"),
-        "code": "\n".join(map(_piece, SCRIPTS)),
+        "style": _read_piece("page.css"),
+        "code": "\n".join(map(_read_piece, SCRIPTS)),
         "method": escape("labels as given" if filter_ is None else type(filter_).__name__),
-        "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(what, steps, layers)),
-        "about": _about(what),
+        "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in notes),
+        "about": _describe(cloud, result),
         "parameters": parameters,
         "version": escape(__version__),
     }
 
 
-def _parameters(filter_: Filter) -> str:
-    """A table of the fields."""
-    rows = []
-    for field in declared(filter_):
-        value, meta = getattr(filter_, field.name), field.metadata
-        default = "" if value == field.default else f" (default {field.default})"
-        rows.append((field.name, f"{value}{default}", meta["symbol"], meta["unit"], meta["doc"]))
-    return table(("parameter", "value", "symbol", "unit", "meaning"), rows)
-
-
-def _notes(what: _Labelled, steps: Steps, layers: Layers | None) -> list[str]:
+def _list_notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[str]:
     """What a reader has to know that is not as usual."""
-    if not len(what.cloud):
+    if not len(cloud):
         return ["The cloud has no points: there is nothing to show."]
     notes = []
-    if layers is None:
+    if cloud.valid is not None and not cloud.valid.any():
         notes.append("No point has valid coordinates: there is nothing to show.")
-    elif not layers.of_ground:
+    elif not result.ground.any():
         notes.append("No point is ground: relief and heights are those of the surface through all points.")
-    if what.result.status.value > 0:
-        notes.append(f"How the run ended: {what.result.status.message}.")
+    if result.status.value > 0:
+        notes.append(f"How the run ended: {result.status.message}.")
     if steps.field is None:
         notes.append(f"There is no slider: {steps.reason}.")
     return notes
 
 
-def _about(what: _Labelled) -> str:
+def _describe(cloud: PointCloud, result: FilterResult) -> str:
     """A table on the run and the cloud."""
-    cloud, result = what.cloud, what.result
     rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
     rows += [("points", len(cloud)), ("judged", int(cloud.candidate.sum()))]
     rows += [("CRS", "unknown" if cloud.crs is None else cloud.crs.name), ("units", str(cloud.units))]
@@ -309,26 +282,16 @@ def _about(what: _Labelled) -> str:
 def pack(values: np.ndarray) -> str:
     """An array of u8 or u16 as base64: differences from one element to the next, byte by byte, deflated.
 
-    Neighbours are mostly alike, so most differences are small and their upper bytes zero. Raises: TypeError.
+    Neighbours are mostly alike, so most differences are small and their upper bytes zero.
     """
-    if values.dtype not in (np.uint8, np.uint16):
-        raise TypeError(f"pack takes uint8 and uint16, not {values.dtype}")
     flat = values.ravel()
     difference = np.diff(flat, prepend=flat.dtype.type(0)).astype(flat.dtype.newbyteorder("<"), copy=False)
     planes = difference.view(np.uint8).reshape(-1, flat.dtype.itemsize).T
-    return base64.b64encode(zlib.compress(planes.tobytes(), _LEVEL)).decode("ascii")
+    return base64.b64encode(zlib.compress(planes.tobytes(), _COMPRESSION)).decode("ascii")
 
 
 def script_json(value: Any) -> str:
     """A value as JSON for the inside of a ``<script>``; NaN and infinities become null."""
-    return json.dumps(_finite(value), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    text = json.dumps(value, default=lambda array: array.tolist())
+    finite = json.loads(text, parse_constant=lambda name: None)
+    return json.dumps(finite, separators=(",", ":")).replace("<", "\\u003c")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,7 +15,9 @@ from ..core.grid import most_cells
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds, check_suffix
+from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of, ground_of
+from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
 
@@ -25,15 +26,13 @@ if TYPE_CHECKING:
 
 SIDE = 2.0
 """Metres: side of the cells that places are made of."""
-OFF = 0.5
-"""Metres from which on terrain counts as off, as in :func:`jaxfilter.dtm_rmse`."""
 LIKELY = 0.06
 """Cells whose terrain is off by more than half a metre with this chance, or a larger one, are named."""
-LEAST = 40.0
+LEAST_AREA = 40.0
 """Square metres that a place has at least."""
-MODEL = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
-"""f64[2, 5]: constant and weights of :func:`evidence`, for results with doubt and without; fitted to tiles and scenes."""
-REACH = 30.0
+WEIGHTS = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
+"""f64[2, 5]: constant and weights of :func:`gather_evidence`, for results with doubt and without; fitted to tiles and scenes."""
+CUT_REACH = 30.0
 """Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
 STEP = 0.7
 """Rise over run between neighbouring cells of one object, at most: roofs are seldom steeper than 35 degrees."""
@@ -43,7 +42,7 @@ AREA, TOUCH = 20.0, 3.0
 """Square metres, and metres along the outline of the data, that a cut object has at least."""
 UNKNOWN = 0.5
 """The chance that a cut object which is ground is none, and that a smooth steep face which is none is ground."""
-STEEPEST = 1.0
+STEEPEST_TERRAIN = 1.0
 """Rise over run: terrain between ground points that are far from each other is taken to rise by no more, and few roofs do."""
 _WIDE = 1 << 31  # cells that a row may have
 REASONS = (
@@ -54,8 +53,11 @@ REASONS = (
     "doubtful points",
 )
 """Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
-COLUMNS = ("x", "y", "area", "volume", "chance", "reason")
-"""Of the list, after the rank."""
+SUSPECT = np.dtype(
+    [("cell", np.int32, 2), ("chance", np.float32), ("error", np.float32), ("reason", np.int8), ("filled", bool)]
+)
+"""A cell where the terrain model may be wrong: column and row from the zero of the coordinates; the chance that it is off by more
+than half a metre; the expected error, metres; the place in :data:`REASONS`; whether it holds points."""
 
 
 class ReviewCells(NamedTuple):
@@ -77,7 +79,7 @@ class ReviewCells(NamedTuple):
     noise: np.ndarray
 
     @classmethod
-    def of(cls, cloud: PointCloud, result: FilterResult, grid: RasterGrid) -> ReviewCells:
+    def from_cloud(cls, cloud: PointCloud, result: FilterResult, grid: RasterGrid) -> ReviewCells:
         """With at least one candidate."""
         shape, every, rows = grid.shape, cells_of(cloud, grid), np.flatnonzero(cloud.candidate)
         at, z, ground = every[rows], cloud.xyz[rows, 2].astype(np.float64), result.ground[rows]
@@ -86,8 +88,6 @@ class ReviewCells(NamedTuple):
         least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
-            from ..terrain.models import heights_of
-
             above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)
@@ -109,61 +109,27 @@ def as_result(cloud: PointCloud, result: FilterResult | np.ndarray) -> FilterRes
     return result if isinstance(result, FilterResult) else FilterResult.of_labels(ground)
 
 
-def evidence(surface: ReviewCells) -> np.ndarray:
+def gather_evidence(surface: ReviewCells) -> np.ndarray:
     """f64[rows, columns, 4]: what speaks for an error, over a cell and the eight around it, as logarithms.
 
     Mean doubt of the points; share of ground points; ground points per square metre; slope of the terrain, rise over run. Small
     numbers are added, so that none is infinite. Without any doubt the first is zero.
     """
-    points, grounds = np.maximum(around(surface.points), 1), around(surface.grounds)
-    doubt = np.ones(points.shape) if surface.doubt is None else around(surface.doubt) / points + 0.01
-    density, slope = grounds / (9 * SIDE**2), _slope(surface.low - surface.height)
+    points, grounds = np.maximum(sum_around(surface.points), 1), sum_around(surface.grounds)
+    doubt = np.ones(points.shape) if surface.doubt is None else sum_around(surface.doubt) / points + 0.01
+    density, slope = grounds / (9 * SIDE**2), _slope_of(surface.low - surface.height)
     return np.log(np.stack([doubt, grounds / points + 0.05, density + 0.05, slope + 0.05], axis=-1))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Suspects:
-    """Cells where the terrain model may be wrong, of a lattice from the zero of the coordinates.
-
-    Attributes:
-        cell: i32[k, 2], columns and rows. chance: f32[k], that it is off by more than half a metre.
-        error: f32[k], expected error, metres. reason: i8[k], place in :data:`REASONS`. filled: bool[k], holds points.
-    """
-
-    cell: np.ndarray
-    chance: np.ndarray
-    error: np.ndarray
-    reason: np.ndarray
-    filled: np.ndarray
-
-    @classmethod
-    def none(cls) -> Suspects:
-        """No cell."""
-        empty = np.zeros(0, np.float32)
-        return cls(np.zeros((0, 2), np.int32), empty, empty, np.zeros(0, np.int8), np.zeros(0, bool))
-
-    @classmethod
-    def together(cls, parts: Sequence[Suspects]) -> Suspects:
-        """Of parts of a scene that share no cell; there is at least one."""
-        if len(parts) == 1:
-            return parts[0]
-        names = [field.name for field in dataclasses.fields(cls)]
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def part(self, rows: np.ndarray) -> Suspects:
-        """Some of the cells, bool[k]."""
-        return Suspects(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
-
-
-def suspects(
+def find_suspects(
     cloud: PointCloud,
     result: FilterResult | np.ndarray,
     *,
     footprints: Iterable[Bounds] | None = None,
     window: Bounds | None = None,
     core: Bounds | None = None,
-) -> Suspects:
-    """The cells of a cloud whose terrain is wrong with a chance of :data:`LIKELY` or more.
+) -> np.ndarray:
+    """The cells of a cloud whose terrain is wrong with a chance of :data:`LIKELY` or more, of dtype :data:`SUSPECT`.
 
     Args:
         cloud: n points. result: a FilterResult, or bool[n], what is ground.
@@ -174,7 +140,7 @@ def suspects(
     """
     result = as_result(cloud, result)
     if not cloud.candidate.any():
-        return Suspects.none()
+        return np.zeros(0, SUSPECT)
     side, metre = SIDE / cloud.units.xy, cloud.units.xy
     grid = RasterGrid.over(extent_of(cloud) if window is None else window, side, metre, most_cells(len(cloud)))
     grid = RasterGrid(side, grid.left - 1, grid.bottom - 1, grid.columns + 2, grid.rows + 2)
@@ -182,14 +148,14 @@ def suspects(
     for box in footprints or ():
         if window is not None:
             data |= _cells_in(grid, box) & ~_cells_in(grid, window)
-    surface = ReviewCells.of(cloud, result, grid)
-    filled, figures, inner = surface.points > 0, evidence(surface), inward(data, SIDE)
-    seen = (around(surface.points) > 0) & (inner > 0)
-    weights = MODEL[int(surface.doubt is None)]
+    surface = ReviewCells.from_cloud(cloud, result, grid)
+    filled, figures, inner = surface.points > 0, gather_evidence(surface), inward(data, SIDE)
+    seen = (sum_around(surface.points) > 0) & (inner > 0)
+    weights = WEIGHTS[int(surface.doubt is None)]
     chance = np.where(seen, 1 / (1 + np.exp(-(weights[0] + figures @ weights[1:]))), 0)
     spacing, slope = np.exp(-figures[..., 2] / 2), np.exp(figures[..., 3]) - 0.05
-    error = np.maximum(OFF, np.minimum(slope, STEEPEST) * spacing)
-    fall, face = _cut(surface, filled, inner), _faces(surface, filled)
+    error = np.maximum(OFF, np.minimum(slope, STEEPEST_TERRAIN) * spacing)
+    fall, face = _find_cut(surface, filled, inner), _find_faces(surface, filled)
     rise = np.where(face, surface.height, np.where(surface.ground, fall, 0))
     chance, error = np.where(rise > 0, np.maximum(chance, UNKNOWN), chance), np.maximum(error, rise)
     reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4).astype(np.int8)
@@ -197,12 +163,14 @@ def suspects(
     if core is not None:
         named &= _cells_in(grid, core)
     row, column = np.nonzero(named)
-    cell = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1).astype(np.int32)
-    chance, error = chance[named].astype(np.float32), (chance * error)[named].astype(np.float32)
-    return Suspects(cell, chance, error, reason[named], filled[named])
+    found = np.zeros(len(row), SUSPECT)
+    found["cell"] = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1)
+    found["chance"], found["error"] = chance[named], (chance * error)[named]
+    found["reason"], found["filled"] = reason[named], filled[named]
+    return found
 
 
-def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
+def sum_around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
     """f64[rows, columns]: sums over each cell and the eight around it."""
     for axis in range(2):
         values = scipy.ndimage.correlate1d(values, np.ones(3), axis, mode=mode)
@@ -215,28 +183,31 @@ def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:
     return ((x >= box[0]) & (x < box[2]))[None, :] & ((y >= box[1]) & (y < box[3]))[:, None]
 
 
-def _slope(z: np.ndarray) -> np.ndarray:
+def _slope_of(z: np.ndarray) -> np.ndarray:
     """f64[rows, columns]: rise over run, by the cells before and after."""
     wide = np.pad(z, 1, mode="edge")
     return np.hypot(wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]) / (2 * SIDE)
 
 
-def _faces(surface: ReviewCells, filled: np.ndarray) -> np.ndarray:
-    """bool[rows, columns]: steep ground that was taken as an object, with the cells beside it. Of a cell and the eight around it
-    most have no ground, are steeper than :data:`STEEPEST`, and lie between their neighbours: walls and canopies do not."""
-    slope, bend = _slope(surface.low), np.abs(around(surface.low, "nearest") / 9 - surface.low)
-    steep = filled & (surface.grounds == 0) & (slope > STEEPEST) & (bend < slope * SIDE / 4)
-    return np.asarray(filled & (around((around(steep * 1.0) >= 5) * 1.0) > 0))
+def _find_faces(surface: ReviewCells, filled: np.ndarray) -> np.ndarray:
+    """bool[rows, columns]: steep ground that was taken as an object, with the cells beside it.
+
+    Of a cell and the eight around it most have no ground, are steeper than :data:`STEEPEST_TERRAIN`, and lie between their
+    neighbours: walls and canopies do not.
+    """
+    slope, bend = _slope_of(surface.low), np.abs(sum_around(surface.low, "nearest") / 9 - surface.low)
+    steep = filled & (surface.grounds == 0) & (slope > STEEPEST_TERRAIN) & (bend < slope * SIDE / 4)
+    return np.asarray(filled & (sum_around((sum_around(steep * 1.0) >= 5) * 1.0) > 0))
 
 
-def _cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def _find_cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """f64[rows, columns]: metres that objects which the outline cuts stand above what surrounds them; zero in other cells.
 
     An object is a segment of the surface of lowest points whose neighbouring cells differ by less than :data:`STEP` times the
-    cell. It touches the outline, reaches no further than :data:`REACH` into the data, and the surface falls along its border
+    cell. It touches the outline, reaches no further than :data:`CUT_REACH` into the data, and the surface falls along its border
     inside the data. ``inner``: metres to the outline.
     """
-    strip = filled & (inner <= REACH + SIDE)
+    strip = filled & (inner <= CUT_REACH + SIDE)
     number = np.cumsum(strip).reshape(strip.shape) - 1
     wall, links = np.zeros(strip.shape, bool), []
     for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
@@ -254,15 +225,14 @@ def _cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndar
     wall, inner = wall[strip], inner[strip]
     cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)
     border, falling = np.bincount(segment, wall), np.bincount(segment, wall & (fall > DROP))
-    cut = (cells * SIDE**2 >= AREA) & (touching * SIDE >= TOUCH) & (np.bincount(segment, inner > REACH) == 0)
+    cut = (cells * SIDE**2 >= AREA) & (touching * SIDE >= TOUCH) & (np.bincount(segment, inner > CUT_REACH) == 0)
     cut &= (border > 0) & (falling >= DROP_SHARE * border)
     height = np.bincount(segment, np.where(wall & (fall > DROP), fall, 0)) / np.maximum(falling, 1)
     out[strip] = np.where(cut, height, 0)[segment]
     return out
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Place:
+class Place(NamedTuple):
     """A connected area where the terrain model may be wrong.
 
     Attributes:
@@ -279,29 +249,29 @@ class Place:
     reason: str
     cells: np.ndarray
 
-    def facts(self) -> dict[str, float | str]:
+    def facts(self) -> dict[str, Any]:
         """All but the cells, by name."""
-        return {name: getattr(self, name) for name in COLUMNS}
+        return dict(zip(self._fields[:-1], self, strict=False))
 
 
-def places_of(found: Suspects, metre: float) -> list[Place]:
-    """Cells that touch, at a corner too, are a place if they have :data:`LEAST`; largest volume first. ``metre``: per unit."""
-    order = np.lexsort(found.cell.T)
-    cell, reason, chance, filled = (one[order] for one in (found.cell, found.reason, found.chance, found.filled))
-    volume, key = found.error[order] * SIDE**2, cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0]
-    of = groups(*touching(key, _WIDE), len(cell))
+def places_of(found: np.ndarray, metre: float) -> list[Place]:
+    """Cells of dtype :data:`SUSPECT` that touch, at a corner too, are a place if they have :data:`LEAST_AREA`; largest volume
+    first. ``metre``: per unit."""
+    found = found[np.lexsort(found["cell"].T)]
+    cell, volume = found["cell"], found["error"] * SIDE**2
+    of = groups(*touching(cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0], _WIDE), len(cell))
     count = np.bincount(of)
     parts = np.split(np.argsort(of, kind="stable"), np.cumsum(count)[:-1])
     places = []
-    for number in np.flatnonzero(count * SIDE**2 >= LEAST).tolist():
+    for number in np.flatnonzero(count * SIDE**2 >= LEAST_AREA).tolist():
         at = parts[number]
-        held = cell[at[filled[at]]]
+        held = cell[at[found["filled"][at]]]
         if not len(held):
             continue
         middle = np.average(cell[at], axis=0, weights=volume[at])
         x, y = ((held[np.square(held - middle).sum(axis=1).argmin()] + 0.5) * SIDE / metre).tolist()
-        why = REASONS[int(np.bincount(reason[at], volume[at]).argmax())]
-        places.append(Place(x, y, len(at) * SIDE**2, float(volume[at].sum()), float(chance[at].mean()), why, cell[at]))
+        why, chance = REASONS[int(np.bincount(found["reason"][at], volume[at]).argmax())], found["chance"][at].mean()
+        places.append(Place(x, y, len(at) * SIDE**2, float(volume[at].sum()), float(chance), why, cell[at]))
     return sorted(places, key=lambda place: -place.volume)
 
 
@@ -341,7 +311,7 @@ def review(
 
     target = None if path is None else check_suffix(Path(path), SUFFIXES)
     cloud = as_cloud(cloud)
-    table = table_of(places_of(suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
+    table = table_of(places_of(find_suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
     if target is not None:
         write_features(target, [table], "review", overwrite=overwrite)
     return table
@@ -350,6 +320,7 @@ def review(
 def table_of(places: Sequence[Place], metre: float, crs: Any) -> geopandas.GeoDataFrame:
     """The table of :func:`review`. ``metre``: metres per unit of the file."""
     import geopandas
+    import pandas
     import shapely
 
     side, shapes = SIDE / metre, []
@@ -358,7 +329,6 @@ def table_of(places: Sequence[Place], metre: float, crs: Any) -> geopandas.GeoDa
         boxes = shapely.box(low[:, 0], low[:, 1], low[:, 0] + side, low[:, 1] + side)
         # The corners of neighbouring cells are equal but for rounding: snapped to a ten thousandth of a side.
         shapes.append(shapely.union_all(boxes, grid_size=side / 10_000))
-    columns: dict[str, list[Any]] = {name: [getattr(place, name) for place in places] for name in COLUMNS}
-    columns["verdict"] = [""] * len(places)
-    ranks = {"rank": np.arange(1, len(places) + 1)}
-    return geopandas.GeoDataFrame(ranks | columns, geometry=shapes, crs=crs)
+    table = pandas.DataFrame(places, columns=Place._fields).drop(columns="cells").assign(verdict="")
+    table.insert(0, "rank", np.arange(1, len(places) + 1))
+    return geopandas.GeoDataFrame(table, geometry=shapes, crs=crs)

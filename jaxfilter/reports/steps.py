@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +14,9 @@ from ..core.result import FilterResult, Progress, Status
 from ..steps.grid_filter import GridFilter
 from ..sweeps.ranges import RANGES, Range, around, search_ranges
 
-EXACT_STEPS, MOST = 49, 250
+USUAL_EXACT, MOST_EXACT = 49, 250
 """Of a threshold that is applied last of all, by default and at most: a step costs next to nothing."""
-MOST_SETS = 15
+MOST_CLASSIFIED = 15
 """Of other thresholds; one bit per set."""
 _WORK = 4_000_000
 """Points times sets that a slider may cost by default, where each set is a classification of its own."""
@@ -25,8 +24,7 @@ _FEWEST = 3
 _MEMORY = 2e9
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(NamedTuple):
     """Labels at every position of a slider.
 
     Attributes:
@@ -55,52 +53,55 @@ class Steps:
         return (np.arange(1 << len(steps))[:, None] >> steps & 1).astype(bool)
 
 
-def fixed(ground: np.ndarray, reason: str) -> Steps:
+def keep_labels(ground: np.ndarray, reason: str) -> Steps:
     """No slider: the labels bool[n] as they are."""
     return Steps(None, [math.nan], 0, (~ground).astype(np.uint8), True, reason)
 
 
 def steps_of(result: FilterResult, count: int | None, workers: int | None, progress: Progress) -> Steps:
-    """The labels of a result at ``count`` values of its threshold, or at as many as are quick; see :func:`fixed`.
+    """The labels of a result at ``count`` values of its threshold, or at as many as are quick; see :func:`keep_labels`.
 
     Without a slider are: labels that no filter of ours made, degenerate clouds, filters whose thresholds have no range, and
     what a random key or the like made in another way than the filter does by itself.
     """
     ground, run = result.ground, result.run
     if run is None or not isinstance(run.filter, Filter):
-        return fixed(ground, "the filter is not known")
+        return keep_labels(ground, "the filter is not known")
     if result.status not in (Status.CONVERGED, Status.ROUND_LIMIT):
-        return fixed(ground, "no threshold had a part in the labels")
+        return keep_labels(ground, "no threshold had a part in the labels")
     filter_, field = run.filter, swept_field(run.filter)
     if field is None or not math.isfinite(getattr(filter_, field)):
-        return fixed(ground, "no threshold has a range to move in")
+        return keep_labels(ground, "no threshold has a range to move in")
     quick = count is None
     last, tested = field in filter_.LAST, isinstance(filter_, GridFilter) and field in filter_.TESTED
-    usual, most = EXACT_STEPS, MOST
+    usual, most = USUAL_EXACT, MOST_EXACT
     if not last and not tested:
-        usual, most = _WORK // max(int(result.info.get("candidates", len(ground))), 1), MOST_SETS
+        usual, most = _WORK // max(int(result.info.get("candidates", len(ground))), 1), MOST_CLASSIFIED
     count = min(usual if count is None else count, most)
     if count < _FEWEST:
         why = "each step would be a classification of its own" if quick else "fewer than three steps were asked for"
-        return fixed(ground, why)
+        return keep_labels(ground, why)
     values = step_values(filter_, field, count)
     sets = [filter_.replace(**{field: value}) for value in values]
     now = values.index(float(getattr(filter_, field)))
-    if last:
-        code = np.full(len(ground), len(sets), np.uint8)
-        number = []
-        for one in sets:
-            ground_now = passed(one, result)
-            code -= ground_now
-            number.append(int(ground_now.sum()))
-        if not np.array_equal(np.cumsum(np.bincount(code, minlength=len(sets)))[: len(sets)], number):
-            return fixed(ground, "what is ground at one value is not so at all larger ones")
-        nested = True
-    else:
-        code, nested = _swept(run.cloud, filter_, sets, tested, workers, progress)
+    nested, points = last or tested, None
+    each: Iterator[tuple[int, np.ndarray]] = ((number, passed(one, result)) for number, one in enumerate(sets))
+    if not last:
+        points = filter_.points_of(run.cloud)
+        each = ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY)
+    code: np.ndarray = np.zeros(len(ground if points is None else points), np.uint8 if nested else np.uint16)
+    counts = [0] * len(sets)
+    for done, (number, now_ground) in enumerate(each, 1):
+        code += (~now_ground if nested else now_ground * (1 << number)).astype(code.dtype)
+        counts[number] = now_ground.sum()
+        progress(done / len(sets), "slider")
+    if nested and not np.array_equal(np.cumsum(np.bincount(code, minlength=len(sets)))[: len(sets)], counts):
+        return keep_labels(ground, "what is ground at one value is not so at all larger ones")
+    if points is not None:
+        code = points.spread(code, len(sets) if nested else 0)
     steps = Steps(field, values, now, code, nested)
     if not np.array_equal(steps.table[code, now], ground):
-        return fixed(ground, "the filter by itself gives other labels")
+        return keep_labels(ground, "the filter by itself gives other labels")
     return steps
 
 
@@ -116,23 +117,10 @@ def step_values(filter_: Filter, field: str, count: int) -> list[float]:
     declaration = next(one for one in declared(filter_) if one.name == field)
     known = RANGES.get(field) or around(declaration) or Range(0.0, 1.0)
     low, high = min(known.low, value), max(known.high, value)
-    if count <= MOST_SETS:  # few: near the present one
+    if count <= MOST_CLASSIFIED:  # few: near the present one
         low, high = max(low, value / 2) if value > 0 else low, min(high, 2 * value) if value > 0 else high
     scale = known.scale if known.scale != "log" or low > 0 else "linear"
     wanted = Range(low, high, scale)
     drawn = {float(f"{wanted.at(u):.3g}") for u in np.linspace(0, 1, count)}
     nearest = min(drawn, key=lambda one: abs(one - value))
     return sorted(drawn - {nearest} | {value})
-
-
-def _swept(
-    cloud: Any, filter_: Filter, sets: Sequence[Filter], tested: bool, workers: int | None, progress: Progress
-) -> tuple[np.ndarray, bool]:
-    """Codes u8[n] or u16[n] of sets that are classified anew, and whether they are nested."""
-    points = filter_.points_of(cloud)
-    code = np.zeros(len(points), np.uint8 if tested else np.uint16)
-    found = ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY)
-    for done, (number, ground) in enumerate(found, 1):
-        code = code + (~ground if tested else ground * (1 << number)).astype(code.dtype)
-        progress(done / len(sets), "slider")
-    return points.spread(code, len(sets) if tested else 0), tested

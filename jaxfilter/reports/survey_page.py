@@ -24,11 +24,18 @@ _PIXELS, _COLOURS = 900, {"dtm": "gist_earth", "chm": "viridis", "density": "civ
 """Of the longer side of a picture; and of rasters; the surface model is drawn as relief, all others in grey."""
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,"><title>{title} – survey</title><style>{style}
-img {{ width: 100%; image-rendering: pixelated; }} .cards {{ grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }}
-</style></head><body><header><h1>{title}</h1><p>Products of a survey · jaxfilter {version}</p></header>
-<main><div class="cards">{cards}</div><section><h2>Figures</h2>{facts}</section></main></body></html>
+<link rel="icon" href="data:,"><title>{title} – {subject}</title><style>{style}</style></head>
+<body><header><h1>{title}</h1><p>{about} · jaxfilter {version}</p></header><main>{main}</main></body></html>
 """
+_STYLE = """
+img { width: 100%; image-rendering: pixelated; } .cards { grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
+"""
+
+
+def page_of(title: str, subject: str, about: str, main: str, style: str = "") -> str:
+    """A page of HTML that needs no network. ``subject``, ``about``: in few words; ``main``: HTML; ``style``: more CSS."""
+    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8") + style
+    return _PAGE.format(title=escape(title), subject=subject, about=about, main=main, style=style, version=__version__)
 
 
 def write_survey_page(
@@ -36,17 +43,17 @@ def write_survey_page(
 ) -> None:
     """Write the page beside the files of layers. ``facts``: names and values. Raises: OutputError."""
     cards = "".join(
-        f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_picture(layer, place)}</a>'
+        f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_draw(layer, place)}</a>'
         f"<span>{escape(layer.TITLE)}</span></div>"
         for layer, place in outputs.items()
     )
-    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-    values = {"title": escape(title), "style": style, "cards": cards, "facts": table((), facts), "version": __version__}
+    main = f'<div class="cards">{cards}</div><section><h2>Figures</h2>{table((), facts)}</section>'
     with new_file(page, overwrite=overwrite) as temporary:
-        temporary.write_text(_PAGE.format(**values), encoding="utf-8")
+        text = page_of(title, "survey", "Products of a survey", main, _STYLE)
+        temporary.write_text(text, encoding="utf-8")
 
 
-def _picture(layer: Layer, place: Place) -> str:
+def _draw(layer: Layer, place: Place) -> str:
     """An image of a raster on this disk; nothing for others."""
     import rasterio
     from matplotlib import colormaps

@@ -20,6 +20,8 @@ from .product import KEPT, Product
 from .report import RunReport
 from .tiles import Around, Tile
 
+_SUSPECTS = f"{KEPT}suspects"
+
 
 def suspects_in(
     around: Around, result: FilterResult | np.ndarray, tile: Tile, reading: Reading
@@ -29,21 +31,21 @@ def suspects_in(
 
     Warns: if the extent of the points is too large for a grid, and lists none.
     """
-    from ..reports.places import SIDE, Suspects, suspects  # late: it brings SciPy's image functions
+    from ..reports.places import SIDE, SUSPECT, find_suspects  # late: it brings SciPy's image functions
 
     boxes = [source.bounds for source in tile.sources if source.count]
     if reading.bounds is not None:
         boxes = [common(box, reading.bounds) for box in boxes]
     try:
-        found = suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
+        found = find_suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
-        found = Suspects.none()
+        found = np.zeros(0, SUSPECT)
     if reading.aoi is not None:
         from .area import within
 
-        found = found.part(within(reading.aoi, *(found.cell.T + 0.5) * SIDE / around.cloud.units.xy))
-    return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
+        found = found[within(reading.aoi, *(found["cell"].T + 0.5) * SIDE / around.cloud.units.xy)]
+    return {_SUSPECTS: found}
 
 
 def check_shapes(path: Path) -> None:
@@ -58,11 +60,10 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
 
     Raises: InputError, OutputError.
     """
-    from ..reports.places import Suspects, places_of, table_of
+    from ..reports.places import places_of, table_of
 
-    names = [f"{KEPT}{field.name}" for field in dataclasses.fields(Suspects)]
-    parts = [Suspects(*(arrays[name] for name in names)) for arrays in product.kept(report, names)]
-    places = places_of(Suspects.together(parts), collection.metre) if parts else []
+    parts = [arrays[_SUSPECTS] for arrays in product.kept(report, (_SUSPECTS,))]
+    places = places_of(np.concatenate(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
         from ..files.vectors import write_features

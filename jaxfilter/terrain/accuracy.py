@@ -79,17 +79,16 @@ class HeightErrors:
         >>> jf.dtm_rmse(cloud, truth).as_dict()["border_off_1m"]
         0.0
         """
-        figures = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-2]}
-        figures |= {"off": self.off, "off_1m": self.off_1m}
-        parts = ((name, getattr(self, name)) for name in ("border", "inside"))
-        return figures | {f"{name}_{key}": v for name, part in parts if part for key, v in part.as_dict().items()}
+        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-2]} | {
+            "off": self.off,
+            "off_1m": self.off_1m,
+        }
+        parts = (("border_", self.border), ("inside_", self.inside))
+        return own | {word + key: value for word, part in parts if part for key, value in part.as_dict().items()}
 
 
-FIGURES = tuple(
-    part + name
-    for part in ("", "border_", "inside_")
-    for name in (*(f.name for f in dataclasses.fields(HeightErrors)[:-2]), "off", "off_1m")
-)
+_NONE = HeightErrors(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, cells=0, missing=0)
+FIGURES = tuple(dataclasses.replace(_NONE, border=_NONE, inside=_NONE).as_dict())
 """Keys of :meth:`HeightErrors.as_dict`."""
 
 
@@ -108,14 +107,13 @@ class Differences(NamedTuple):
     def errors(self, where: np.ndarray | bool = True) -> HeightErrors:
         """Figures of the cells ``where``, bool[rows, columns], without parts."""
         d = self.metres[np.isfinite(self.metres) & where]
-        cells, missing = len(d), int((self.missing & where).sum())
-        if not cells:
-            nan = math.nan
-            return HeightErrors(nan, nan, nan, nan, nan, nan, nan, nan, cells, missing)
+        missing = int((self.missing & where).sum())
+        if not len(d):
+            return dataclasses.replace(_NONE, missing=missing)
         high, low, high_1m, low_1m = (100 * float((v > limit).mean()) for limit in (OFF, FAR_OFF) for v in (d, -d))
         size = np.abs(d)
         rmse, p95, largest = math.sqrt(np.mean(d * d)), float(np.percentile(size, 95)), float(size.max())
-        return HeightErrors(rmse, float(d.mean()), p95, largest, high, low, high_1m, low_1m, cells, missing)
+        return HeightErrors(rmse, float(d.mean()), p95, largest, high, low, high_1m, low_1m, len(d), missing)
 
 
 def dtm_rmse(

@@ -1,4 +1,4 @@
-"""Verdicts on places are carried out, on a result in memory or on classified files; and places of such files are listed."""
+"""Verdicts on places are carried out on classified files, and the places of such files are listed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import DAMAGED, InputError, JaxfilterError, ParameterError, warn
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
-from ..core.result import Decision, FilterResult
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
 from ..files.disk import Seal, check_suffix, new_file
@@ -26,25 +25,24 @@ from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
 from ..files.vectors import SUFFIXES
 from ..files.writing import LAS_SUFFIXES, write_cloud
-from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import SIDE
-from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
-from ..terrain.layer import extent_of
-from .claim import Claim, claim_of
-from .collection import Collection
-from .collection import open as open_collection
-from .kept import list_places, suspects_in
-from .measures import Recipe
-from .options import RunOptions
-from .product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
-from .report import REPORT, RunReport, Summary
-from .small import carry_out
-from .store import Store
-from .surroundings import ground_by_class
-from .survey import Survey, check_in_place, open_files
-from .targets import Targets
-from .tiles import Tile, inside, part_of
+from ..surveys.claim import Claim, claim_of
+from ..surveys.collection import Collection
+from ..surveys.collection import open as open_collection
+from ..surveys.kept import list_places, suspects_in
+from ..surveys.measures import Recipe
+from ..surveys.options import RunOptions
+from ..surveys.product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
+from ..surveys.report import REPORT, RunReport, Summary
+from ..surveys.small import carry_out
+from ..surveys.store import Store
+from ..surveys.surroundings import ground_by_class
+from ..surveys.survey import Survey, check_in_place, open_files
+from ..surveys.targets import Targets
+from ..surveys.tiles import Tile
+from .repair import repair
+from .verdicts import FINE, HALO, PLACE_RIM, WORDS, PlaceVerdict, VerdictSite, read_verdicts, sites_of
 
 LOG = "verdicts.json"
 """Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""
@@ -52,64 +50,6 @@ _CHANGED = f"{KEPT}changed"
 """Name of the array of the numbers of the files of points that change."""
 _FEW = 200
 """Sites up to which one process is enough: others take longer to start."""
-
-
-def apply(result: FilterResult, places: Any) -> FilterResult:
-    """Carry out what people have decided at places: labels inside these and at their rim become what follows from it.
-
-    ============  ========================================================================================================
-    verdict       what is done
-    ============  ========================================================================================================
-    ``ground``    the lowest points of cells of 2 m are ground as well, unless they stand on something steeper than terrain
-    ``object``    ground that sticks out of the plane of its neighbours by more than 0.5 m goes, from the outside inwards
-    ``bridge``    no point is ground; points that were are marked as ``deck``
-    ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
-    ``fine``      nothing changes, here and where the rim of another place meets it
-    ============  ========================================================================================================
-
-    The ground around the place is known. From it and from what is left or new, the ground grows again through the place and the
-    4 m around it, by the rules of OST. Around a bridge, ground in these 4 m must pass again. All other labels stay as they are.
-    Places whose rims meet are done together, and each sees the ground up to 40 m away.
-
-    Args:
-        result: of any filter; the limits are those of OST, as set up for the cloud if another method has found the ground.
-        places: what :func:`jaxfilter.review` returns or has written, with its column ``verdict`` filled in; or any other polygons
-            with such a column. Empty ones are passed over. Places in another CRS are transformed.
-
-    Returns: FilterResult with other ``ground`` and ``decision``, ``water`` and ``deck``; ``doubt`` is NaN where labels changed.
-    Raises: InputError for places that cannot be read or have no such column, and for a result without its cloud. Warns: of each
-        verdict that is left out, since it is none, lies beside the data, or contradicts one that overlaps it.
-
-    >>> places = jf.review(cloud, result)
-    >>> places["verdict"] = "fine"
-    >>> bool((jf.apply(result, places).ground == result.ground).all())
-    True
-    """
-    if result.run is None:
-        raise InputError(
-            "result: was put together by hand, so its points are not known: pass what a filter has returned"
-        )
-    cloud = result.run.cloud
-    verdicts, _ = read_verdicts(places, cloud.crs, extent_of(cloud))
-    filter_: Any = result.run.filter
-    filter_ = filter_.replace() if isinstance(filter_, OST) else default_filter(cloud)
-    if filter_.spacing is None:
-        filter_ = filter_.replace(spacing=filter_.points_of(cloud).spacing())
-    ground, decision = result.ground.copy(), np.array(result.decision)
-    doubt = None if result.doubt is None else result.doubt.copy()
-    water, deck = (np.zeros(len(cloud), bool) if old is None else old.copy() for old in (result.water, result.deck))
-    for site in sites(verdicts, cloud.units.xy):
-        rows = np.flatnonzero(inside(cloud, site.window))
-        found = repaired(part_of(cloud, rows), result.ground[rows], site, filter_)
-        changed = rows[found.changed]
-        ground[changed] = found.ground[found.changed]
-        decision[changed] = np.where(ground[changed], Decision.ACCEPTED, Decision.SURFACE)
-        water[rows[found.water]], deck[rows[found.deck]] = True, True
-        if doubt is not None:
-            doubt[changed] = np.nan
-    return dataclasses.replace(
-        result, ground=ground, decision=decision, doubt=doubt, water=water & ground, deck=deck & ~ground
-    )
 
 
 @dataclasses.dataclass
@@ -134,11 +74,14 @@ class VerdictReport(RunReport):
 
 @dataclasses.dataclass(frozen=True)
 class VerdictProduct(Product):
-    """Files in which some classes follow verdicts; a tile is a site."""
+    """Files in which some classes follow verdicts; a tile is a site. ``new``: verdicts for the file ``log``, which is the output
+    behind those of points."""
 
     REPORT = VerdictReport
-    sites: tuple[Repair, ...]
+    sites: tuple[VerdictSite, ...]
     classes: Classes
+    new: list[PlaceVerdict]
+    log: Path
 
     def cut(self) -> Cut:
         """A tile for each site."""
@@ -154,7 +97,7 @@ class VerdictProduct(Product):
             return {}, summary
         ground, start = cloud.classification == self.classes.ground_class, time.perf_counter()
         cloud = dataclasses.replace(cloud, candidate=cloud.candidate | ground, core=None)  # whatever echoes were judged
-        found = repaired(cloud, ground, site, filter_)
+        found = repair(cloud, ground, site, filter_)
         summary.seconds["filter"] = time.perf_counter() - start
         summary.ground = int(found.ground[around.core].sum())
         touched = found.changed if self.classes.water is None else found.changed | found.water
@@ -174,16 +117,15 @@ class VerdictProduct(Product):
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and write the log, which takes its place together with them."""
-        assert isinstance(report, VerdictReport) and isinstance(targets, _Targets)
+        assert isinstance(report, VerdictReport) and isinstance(targets, Claim)
         changed = [arrays[_CHANGED] for arrays in self.kept(report, (_CHANGED,))]
         files, counts = np.concatenate([np.zeros((2, 0), int), *changed], axis=1)
         written = {str(targets.places[number]) for number in files}
         report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
         if not (report.set_aside or report.failed or report.left_out):
-            *files, last = map(targets.part, range(len(targets.places)))
+            log, (*files, last) = Log(self.log, collection), map(targets.part, range(len(targets.places)))
             named = zip(collection.uris, files, strict=True)
-            parts = {targets.log.name_of(uri): part for uri, part in named if part is not None and part.exists()}
-            targets.log.add(targets.new, parts, last)
+            log.add(self.new, {log.name_of(uri): part for uri, part in named if part and part.exists()}, last)
 
     def facts(self) -> dict[str, Any]:
         """Classes and verdicts."""
@@ -235,10 +177,12 @@ def apply_survey(
             with targets.store.locked():
                 targets.finish()
             collection = open_collection(collection.uris, units=reading.units, crs=reading.crs)
-        log = _Log(targets.store.path.parent / LOG, collection)
+        log = Log(targets.store.path.parent / LOG, collection)
+        for name, words in log.broken.items():
+            warn(f"{name}: {words} since verdicts were carried out on it, so those of it are carried out anew")
         new = [one for one in verdicts if not log.holds(one)]
         keys = {one.key for one in new if one.word != FINE}
-        every = sites(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
+        every = sites_of(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
         acting = (site for site in every if any(one.key in keys for one in site.verdicts))
         found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
         report = VerdictReport()
@@ -246,9 +190,9 @@ def apply_survey(
             if run.workers is None and run.client is None and len(found) <= _FEW:
                 run = dataclasses.replace(run, workers=1)
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-            logged = _Targets([*files, log.path], in_place=True, store=targets.store, log=log, new=new)
+            logged = dataclasses.replace(targets, places=[*files, log.path])
             survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
-            report = carry_out(survey, VerdictProduct, sites=found, classes=classes)
+            report = carry_out(survey, VerdictProduct, sites=found, classes=classes, new=new, log=log.path)
         if not run.dry_run:
             targets.discard()  # the log tells what is done
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
@@ -273,43 +217,47 @@ def _recipe_of(collection: Collection) -> Recipe:
     return Recipe()
 
 
-class _Log:
-    """The list of verdicts that were carried out on files of a folder."""
+class Log:
+    """The list of verdicts that were carried out on files of a folder.
+
+    Attributes:
+        entries: a dict for each verdict, whose ``files`` are those that are as they were left then.
+        broken: what is wrong with other files, by name.
+    """
 
     def __init__(self, path: Path, collection: Collection) -> None:
         """``collection``: files of this folder. Raises: InputError if it is damaged."""
-        self.path, self.collection = path, collection
+        self.path, self.collection, self.entries = path, collection, []
         try:
-            empty: dict[str, Any] = {"files": {}, "verdicts": []}
-            self.facts = json.loads(path.read_text()) if path.exists() else empty
-            self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
-            for one in self.facts["verdicts"]:  # what is used of it later is a point, a word and names
+            facts: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"files": {}, "verdicts": []}
+            found = ((name, Seal(**seal).broken(path.parent / name)) for name, seal in sorted(facts["files"].items()))
+            self.broken = {name: words for name, words in found if words is not None}
+            for one in facts["verdicts"]:  # what is used of it later is a point, words and names
                 shapely.Point(one["x"], one["y"])
-                "".join((one["verdict"], *one["files"]))
-            broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
+                "".join((one["verdict"], one["key"], *one["files"]))
+                if files := [name for name in one["files"] if name not in self.broken]:
+                    self.entries.append(one | {"files": files})
         except DAMAGED as error:
             raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
-        self._broken = {name for name, words in broken.items() if words is not None}
-        for name in sorted(self._broken):
-            warn(f"{name}: {broken[name]} since verdicts were carried out on it, so those of it are carried out anew")
-
-    def files_of(self, one: PlaceVerdict) -> list[str]:
-        """Names of the files whose points a verdict may change."""
-        near = self.collection.within(one.shape.buffer(RIM / self.collection.metre).bounds)
-        return [self.name_of(self.collection.uris[n]) for n in near]
+        self._known = {entry["key"]: entry["files"] for entry in self.entries}
 
     def name_of(self, uri: str) -> str:
         """Of a file, as the log has it."""
         return os.path.relpath(uri, self.path.parent)
 
+    def files_of(self, one: PlaceVerdict) -> set[str]:
+        """Names of the files whose points a verdict may change."""
+        near = self.collection.within(one.shape.buffer(PLACE_RIM / self.collection.metre).bounds)
+        return {self.name_of(self.collection.uris[number]) for number in near}
+
     def holds(self, one: PlaceVerdict) -> bool:
         """Whether a verdict was carried out on all its files, and these are as they were left."""
-        files = set(self.files_of(one))
-        return one.key in self._known and files <= set(self._known[one.key]) and not files & self._broken
+        key = one.key
+        return key in self._known and self.files_of(one) <= set(self._known[key])
 
     def add(self, verdicts: Sequence[PlaceVerdict], parts: Mapping[str, Path] = {}, into: Path | None = None) -> None:
-        """Write down verdicts, and how their files are now. Others are known no more on files that have changed since, and none
-        is in whose place something else is said now.
+        """Write down verdicts, and how their files are now. Others are known no more if something else is said now of a point
+        inside their place.
 
         ``parts``: files that will take the places of those of such names; ``into``: as of ``new_file``.
 
@@ -318,35 +266,21 @@ class _Log:
         if not verdicts:
             return
         keys, today = {one.key for one in verdicts}, datetime.date.today().isoformat()
-        entries, kept = [], {}
-        for entry in self.facts["verdicts"]:
-            files = [name for name in entry["files"] if name not in self._broken and (self.path.parent / name).exists()]
-            kept[entry["key"]] = files
-            if files and entry["key"] not in keys and not self._replaced(entry, verdicts):
-                entries.append(entry | {"files": files})
+        entries = []
+        for entry in self.entries:
+            inner, word = shapely.Point(entry["x"], entry["y"]), entry["verdict"]
+            replaced = any(one.word != word and one.shape.intersects(inner) for one in verdicts)
+            if entry["key"] not in keys and not replaced:
+                entries.append(entry)
         for one in verdicts:
             inner, area = one.shape.representative_point(), one.shape.area * self.collection.metre**2
-            files = sorted({*self.files_of(one), *kept.get(one.key, ())})
+            files = sorted({*self.files_of(one), *self._known.get(one.key, ())})
             facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})
         seals = {name: dataclasses.asdict(Seal.of(parts.get(name, self.path.parent / name))) for name in names}
         with new_file(self.path, overwrite=True, into=into) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
-
-    @staticmethod
-    def _replaced(entry: dict[str, Any], verdicts: Sequence[PlaceVerdict]) -> bool:
-        """Whether a place of before, known by a point inside, has another verdict now."""
-        inner = shapely.Point(entry["x"], entry["y"])
-        return any(one.word != entry["verdict"] and one.shape.intersects(inner) for one in verdicts)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Targets(Claim):
-    """Files, and behind them the log of their verdicts, which lists ``new`` ones when they are replaced."""
-
-    log: _Log
-    new: Sequence[PlaceVerdict]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -401,10 +335,10 @@ def review_survey(
     """
     check_suffix(target := Path(path), SUFFIXES)
     check_in_place(reading)
-    return reviewed(what, target, target, ground, reading, run)
+    return run_review(what, target, target, ground, reading, run)
 
 
-def reviewed(
+def run_review(
     what: Any, out: Path, path: Path | None, ground: Iterable[int], reading: Reading, run: RunOptions
 ) -> RunReport:
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""

@@ -5,34 +5,35 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
+from ..core.errors import DAMAGED, InputError, OutputError
 from ..core.markup import table
 from ..core.reading import Reading
 from ..core.units import vertical
 from ..core.version import __version__
-from ..files.disk import Bounds, Seal, new_file
+from ..files.disk import Bounds, check_suffix, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
+from ..reports.page import PAGE_SUFFIXES
+from ..reports.survey_page import page_of
+from ..surveys.collection import Collection
+from ..surveys.collection import open as open_collection
+from ..surveys.options import RunOptions
+from ..surveys.report import REPORT
+from ..surveys.survey import check_in_place
 from ..terrain.raster import Raster
-from .collection import Collection
-from .collection import open as open_collection
-from .options import RunOptions
-from .report import REPORT
-from .survey import check_in_place
-from .verdicts import LOG, reviewed
+from .survey import LOG, Log, run_review
 
 EDITIONS = {
     "2014": "ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 1, version 1.0, November 2014, section 7.4 "
@@ -42,15 +43,11 @@ EDITIONS = {
 }
 """What figures are made by."""
 _LEAST = {"2014": 20, "2023": 30}
+"""Check points that they ask for."""
 _COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum", "vertical_crs")
 _PLANTS = ("veg", "forest", "(?<!s)tree", "wood", "brush", "shrub", "(?<!out)crop", "weed", "tall", "vva")
 _BARE = "non|not veg|unveg"
 """Parts of the names of land covers that are vegetated, if none of these is in them: a street and an outcrop are not."""
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,"><title>{title} – accuracy</title><style>{style}</style></head>
-<body><header><h1>{title}</h1><p>Statement of accuracy · jaxfilter {version}</p></header><main>{sections}</main></body></html>
-"""
 
 
 def accuracy_statement(
@@ -89,28 +86,24 @@ def accuracy_statement(
     >>> said["model"]["cells"], said["checkpoints"] is None
     (3600, True)
     """
-    page = Path(path)
-    if page.suffix.lower() not in (".html", ".htm"):
-        raise ParameterError(f"{page}: the suffix must be .html")
+    check_suffix(page := Path(path), PAGE_SUFFIXES)
     for target in (page, page.with_suffix(".json")):
         if target.exists() and not run.overwrite:
             raise OutputError(f"{target} exists: name another file, or pass overwrite=True")
     raster = model if isinstance(model, Raster) else Raster.read(model)
     check_in_place(reading)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
-    notes: list[str] = []
-    inner = _covered("model" if raster is model else str(model), raster, collection)
-    made = _made(collection)
-    points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
+    name, notes = None if raster is model else str(model), list[str]()
+    inner = _find_covered(name or "model", raster, collection)
+    made = _read_records(collection)
+    points = None if checkpoints is None else _compare(Path(checkpoints), raster, collection, notes)
     if inner is not None:
-        import shapely
-
         notes.append("the model covers a part of the files: points and places in its bounds count")
         reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
-    report = reviewed(collection, page, None, ground, reading, run)
+    report = run_review(collection, page, None, ground, reading, run)
     cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
     km2 = cells * square / 1e6
-    doubt = _doubt(collection, inner)
+    doubt = _sum_doubt(collection, inner)
     if doubt is None:
         notes.append(
             "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
@@ -127,7 +120,7 @@ def accuracy_statement(
             "named_m2": sum(place["area"] for place in report.places),
         },
         "model": {
-            "file": str(model) if not isinstance(model, Raster) else None,
+            "file": name,
             "cell_m": raster.cell * collection.metre,
             "cells": raster.values.size,
             "km2": km2,
@@ -143,30 +136,31 @@ def accuracy_statement(
     return facts
 
 
-def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]) -> dict[str, Any]:
+def _compare(path: Path, model: Raster, collection: Collection, notes: list[str]) -> dict[str, Any]:
     """What check points say. Raises: InputError."""
     import pandas
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pandas.errors.ParserWarning)  # of lines with more cells than the header
-            rows = pandas.read_csv(path, dtype=str, index_col=False).rename(
-                columns=lambda name: str(name).strip().lower()
-            )
+            rows = pandas.read_csv(path, dtype=str, index_col=False)
     except (OSError, ValueError, pandas.errors.ParserWarning) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from error
+    rows.columns = rows.columns.str.strip().str.lower()
     if missing := [name for name in "xyz" if name not in rows]:
         raise InputError(f"{path}: has no column {missing[0]}; it has {', '.join(rows)}: name them x, y and z")
     xyz = rows[["x", "y", "z"]].apply(pandas.to_numeric, errors="coerce").to_numpy(np.float64)
-    _same_datum(path, rows, model, collection, notes)
-    z, inside = _sampled(model, xyz[:, :2])
+    _check_datum(path, rows, model, collection, notes)
+    z, inside = _sample(model, xyz[:, :2])
     used = np.isfinite(z - xyz[:, 2])
-    outside, unknown = (np.flatnonzero(rest) + 2 for rest in (~inside, inside & ~used))
-    kinds = (outside, "lie outside of the model"), (unknown, "lie where the model has no height, or have none")
-    for lines, words in kinds:
-        if len(lines):
-            which = ", ".join(map(str, lines))
-            notes.append(f"{path.name}: {len(lines)} check points {words}, and do not count: lines {which}")
+    outside, unknown = ~inside, inside & ~used
+    for which, words in (
+        (outside, "lie outside of the model"),
+        (unknown, "lie where the model has no height, or have none"),
+    ):
+        if which.any():
+            lines = ", ".join(map(str, np.flatnonzero(which) + 2))
+            notes.append(f"{path.name}: {which.sum()} check points {words}, and do not count: lines {lines}")
     dz = (z - xyz[:, 2])[used] * collection.units.z
     name = next((one for one in _COVER if one in rows), _COVER[0])
     if name not in rows:
@@ -179,15 +173,15 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
     return {
-        "nva": _figures(dz[~plants]),
-        "vva": _figures(dz[plants]),
-        "by_cover": {one: _figures(dz[covers == one]) for one in sorted(set(covers))},
-        "outside": len(outside),
-        "without_height": len(unknown),
+        "nva": _summarise(dz[~plants]),
+        "vva": _summarise(dz[plants]),
+        "by_cover": {one: _summarise(dz[covers == one]) for one in sorted(set(covers))},
+        "outside": int(outside.sum()),
+        "without_height": int(unknown.sum()),
     }
 
 
-def _figures(dz: np.ndarray) -> dict[str, Any]:
+def _summarise(dz: np.ndarray) -> dict[str, Any]:
     """Of differences f64[k], metres; None of no points."""
     names = ("mean_m", "rmse_m", "accuracy_95_m", "p95_m", "largest_m")
     if not len(dz):
@@ -197,7 +191,7 @@ def _figures(dz: np.ndarray) -> dict[str, Any]:
     return {"points": len(dz)} | dict(zip(names, map(float, figures), strict=True))
 
 
-def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sample(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[k]: heights of the model at positions f64[k, 2], bilinear, NaN beside a void; bool[k]: those inside its bounds."""
     from scipy.ndimage import map_coordinates
 
@@ -208,7 +202,7 @@ def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, z, np.nan), inside
 
 
-def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
+def _check_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
     """Raises: InputError for check points in another vertical datum than that of the model."""
     name = next((one for one in _DATUM if one in rows), None)
     stated = [] if name is None else sorted(set(rows[name].dropna().str.strip()))
@@ -219,7 +213,7 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
             notes.append(
                 f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
             )
-        elif (datum := _named(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
+        elif (datum := _name_datum(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
             raise InputError(
                 f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "
                 "such as with cs2cs of PROJ"
@@ -230,7 +224,7 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
         )
 
 
-def _named(text: str) -> str:
+def _name_datum(text: str) -> str:
     """The name of a vertical CRS by its code, or the text."""
     import pyproj
 
@@ -241,7 +235,7 @@ def _named(text: str) -> str:
     return vertical(crs) or text
 
 
-def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
+def _find_covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
     """The bounds of a model that covers a part of the files only; None if it covers all, but for less than a cell, or if there is
     text, which no area cuts. Raises: InputError if it lies beside them."""
     if not collection.count:
@@ -254,15 +248,13 @@ def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
     return None if text or max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) < cell else model.bounds
 
 
-def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
+def _sum_doubt(collection: Collection, inner: Bounds | None) -> float | None:
     """The sum of the extra dimension doubt of all points, or of those in bounds; None if a file has none. Raises: InputError."""
     total = 0.0
     for source in collection:
-        if source.format == "text":
-            return None
-        header = open_las(source.place).header
-        doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
-        if doubt is None or doubt.data_type not in FLOATS:
+        header = None if source.format == "text" else open_las(source.place).header
+        extra = {} if header is None else {one.name: one for one in header.extra_dimensions() or ()}
+        if header is None or "doubt" not in extra or (doubt := extra["doubt"]).data_type not in FLOATS:
             return None
         for points, _ in read_points(header, inner):
             column = np.ascontiguousarray(points.array["ExtraBytes"][:, doubt.start : doubt.start + doubt.size])
@@ -270,25 +262,23 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
     return total
 
 
-def _made(collection: Collection) -> dict[str, Any]:
+def _read_records(collection: Collection) -> dict[str, Any]:
     """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them.
     Raises: InputError for a damaged report."""
     found: dict[str, Any] = {"jaxfilter": __version__}
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
-        for place in (folder / name for name in (REPORT, LOG) if (folder / name).is_file()):
+        if (place := folder / REPORT).is_file():
             try:
                 facts = json.loads(place.read_text())
-                if place.name == REPORT:
-                    found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
-                    continue
-                seals, own = facts["files"], {os.path.relpath(uri, folder) for uri in collection.uris}
-                own = {name for name in own & set(seals) if Seal(**seals[name]).broken(folder / name) is None}
-                said = Counter(one["verdict"] for one in facts["verdicts"] if own & set(one["files"]))
-                found["verdicts"] = dict(sorted(said.items()))
+                found |= {name: facts.get(name) for name in ("method", "parameters")}
             except DAMAGED as error:
-                raise InputError(
-                    f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
-                ) from error
+                said = f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
+                raise InputError(said) from error
+        if (folder / LOG).is_file():
+            log = Log(folder / LOG, collection)
+            own = {log.name_of(uri) for uri in collection.uris}
+            counts = Counter(one["verdict"] for one in log.entries if own & set(one["files"]))
+            found["verdicts"] = dict(sorted(counts.items()))
     return found
 
 
@@ -296,6 +286,10 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     """The page and the JSON. Raises: OutputError."""
     points, labels, model = facts["checkpoints"], facts["labels"], facts["model"]
     sections, wrong = [], labels["expected_wrong_per_km2"]
+
+    def metres(value: float | None) -> str:
+        return "none" if value is None else f"{value:.3f}"
+
     if points is not None:
         figures = (("nva", "RMSEz (2023)", "rmse_m"), ("nva", "1.96 RMSEz (2014)", "accuracy_95_m"),
                    ("vva", "RMSEz (2023)", "rmse_m"), ("vva", "95th percentile (2014)", "p95_m"))  # fmt: skip
@@ -316,14 +310,8 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     sections.append("<h2>How it was made</h2>" + table((), [(key, str(value)) for key, value in facts["made"].items()]))
     for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
         sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
-    style = files("jaxfilter.reports").joinpath("page.css").read_text(encoding="utf-8")
     body = "".join(f"<section>{one}</section>" for one in sections)
-    text = _PAGE.format(title=escape(page.stem), style=style, version=__version__, sections=body)
+    text = page_of(page.stem, "accuracy", "Statement of accuracy", body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
             part.write_text(content, encoding="utf-8", errors="replace")
-
-
-def metres(value: float | None) -> str:
-    """To a millimetre, in words where there is none."""
-    return "none" if value is None else f"{value:.3f}"
