@@ -24,7 +24,7 @@ from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.surveys.plan import POINTS, WHOLE, Cut, Where, plan_tiles
-from jaxfilter.surveys.report import RunReport
+from jaxfilter.surveys.report import TILE, RunReport, Summary
 from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names
 
@@ -198,7 +198,7 @@ def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, do
     report = run(files, tmp_path / "out", Here(fail=fail))
     assert tried.count(False) == 2 and tried.count(True) == 1
     assert [one["reason"] for one in report.set_aside] == ["no luck"] and not report.complete
-    assert np.flatnonzero(report.state == -1).tolist() == [0]
+    assert np.flatnonzero(report.table["ground"] == -1).tolist() == [0]
     assert len(report.files) == 3 and "tile 0 was set aside: no luck" in report.failed[0]["reason"]
     same = contents(done[0])
     assert all(same[name] == data for name, data in contents(tmp_path / "out").items())
@@ -257,7 +257,8 @@ def test_outputs_that_are_gone_or_damaged_are_made_again_and_named(files, done, 
     assert report.complete and contents(out) == contents(done[0]) and len(report.files) == 4
     length = (done[0] / "10.laz").stat().st_size
     wrong = {"00.laz": "was changed", "01.laz": "is missing", "10.laz": f"has 500 bytes instead of {length:,}"}
-    assert report.again == [{"file": str(out / name), "reason": reason} for name, reason in wrong.items()]
+    said = {f"{out / name}: {reason}, so it had to be made again" for name, reason in wrong.items()}
+    assert said == {remark for remark in report.remarks if "made again" in remark}
     assert (report.points, report.classes) == (done[1].points, done[1].classes)
     assert ("write_file", 3) not in executor.calls, "the copy of the fourth is as it was"
     (out / "11.laz").unlink()
@@ -335,7 +336,8 @@ def test_damage_of_what_a_run_keeps_leads_to_no_wrong_output(files, done, tmp_pa
         assert how not in REFUSED or re.search("run.json: is damaged|begun with other", str(error))
         assert executor.calls == [] and contents(out) == before
     else:
-        assert what == "report" and report.complete and contents(out) == contents(done[0]) and not report.again
+        assert what == "report" and report.complete and contents(out) == contents(done[0])
+        assert not any("made again" in remark for remark in report.remarks)
     assert run(files, out, overwrite=True).complete and contents(out) == contents(done[0])
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
@@ -539,10 +541,8 @@ def test_the_map_of_one_tile_says_what_was_found(tmp_path, monkeypatch):
     """Figures and the largest places in words; no scale, which would have one colour."""
     seen = []
     monkeypatch.setattr("jaxfilter.plots.footprints", lambda *a, **k: seen.append(footprints(*a, **k)) or seen[-1])
-    report = RunReport(
-        points=200, ground=50, tiles=1, method="OST", files=["a.laz"], cores=np.array([[0.0, 0.0, 9.0, 9.0]])
-    )
-    report.state = np.array([0.25])
+    tiles = np.array([((0.0, 0.0, 9.0, 9.0), 0.25)], TILE)
+    report = RunReport(Summary(points=200, ground=50), tiles, ["a.laz"], method="OST")
     report.places = [{"x": 3.0, "y": 4.0, "area": 8.0, "volume": 5.0, "reason": "doubtful points"}]
     report.draw(tmp_path / "map.png")
     (ax,) = seen
@@ -753,7 +753,7 @@ def test_tiles_of_a_corridor_that_runs_across_lie_along_it(tmp_path):
     pmf, metres = jf.PMF(max_window=10.0, low_clusters=False), jf.Reading(units="m")
     report = jf.ground(tmp_path / "in.las", tmp_path / "out.las", pmf, reading=metres)
     assert report.complete and report.tiles > 1
-    cores = report.cores[:, 2:] - report.cores[:, :2]
+    cores = report.table["core"][:, 2:] - report.table["core"][:, :2]
     assert cores.prod(axis=1).sum() < 0.6 * np.ptp(xyz[:, :2], axis=0).prod()
     whole = pmf.replace(cell=pmf.cell)(jf.read(tmp_path / "in.las", units="m")).ground
     np.testing.assert_array_equal(np.asarray(laspy.read(tmp_path / "out.las").classification) == 2, whole)

@@ -190,6 +190,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
         "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
         if report.classes
         else None,
+        "review": review and str(review),
+        "breaklines": breaklines and str(breaklines),
         "all_reset": classes.reset != "none" and not classes.only_ground and classes.other_class != of_class,
     }
     if not report.classes and report.points:

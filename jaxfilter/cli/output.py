@@ -64,11 +64,11 @@ def report_text(report: dict[str, Any]) -> str:
     lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {done}")
     if report["tiles"] > 1:
         lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
-    if report["review"]:
+    if report.get("review"):
         volume = sum(place["volume"] for place in report["places"])
         places = count(len(report["places"]), "place")
         lines.append(f"{report['review']}: {places}, {volume:,.0f} m3 of errors to expect")
-    if report["breaklines"]:
+    if report.get("breaklines"):
         lines.append(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
         lines.append("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
@@ -103,8 +103,6 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:
         session.warn(f"{one['file']} was left out, so that tiles beside it lack its points: {one['reason']}")
-    for one in report.again:
-        session.warn(f"{one['file']}: {one['reason']}, so it had to be made again")
     for one in report.failed:
         session.warn(f"{one['file']} was not written: {one['reason']}")
 

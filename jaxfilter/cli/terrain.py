@@ -176,7 +176,10 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         return plan_answer(plan._replace(files=[*more, *plan.files, str(made.page)]))
     if made.ground is not None:
         tell(session, made.ground)
-    answer = _answer(made.rasters, files, f"{_cells(made.rasters, side)}\n", "cell")
+    text = f"{_cells(made.rasters, side)}\n"
+    if options["breaklines"] is not None:
+        text += f"{options['breaklines']}: {count(made.rasters.as_dict()['water_bodies'], 'outline')} of water\n"
+    answer = _answer(made.rasters, files, text, "cell")
     answer.facts["classified"] = None if made.ground is None else run_facts(session, made.ground)
     answer.facts["page"] = str(made.page)
     return dataclasses.replace(answer, complete=made.complete)
@@ -229,7 +232,5 @@ def _answer(report: RunReport, files: Files, text: str, what: str) -> Answer:
     if report.uncertain:
         where = count(report.uncertain, what)
         files.session.warn(f"heights of {where} over wide voids may differ between neighbouring tiles")
-    if report.breaklines:
-        text += f"{report.breaklines}: {count(report.as_dict()['water_bodies'], 'outline')} of water\n"
     text += f"{count(report.tiles, 'tile')} in {report.elapsed:.1f} s; {times(report.seconds)}"
     return answer_of(files, report, f"{files.output}: {text}")

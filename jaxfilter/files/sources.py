@@ -144,8 +144,8 @@ def with_true_extent(source: Source) -> Source:
 
 
 def squares_of(source: Source) -> Squares | None:
-    """Squares of :data:`SQUARE` metres that hold the points of a file, where these leave much of its extent empty, like a corridor
-    that runs across. None if they fill it, as far as some of them show, if it is small, or if it is remote or damaged."""
+    """Squares of :data:`SQUARE` metres that hold the points of a file, where these leave much of its extent empty, as in a
+    corridor that runs across. None if they fill it, as far as some of them show; and if it is small, remote or damaged."""
     x0, y0, x1, y1 = source.bounds
     if not source.count or max(x1 - x0, y1 - y0) * source.metre <= _WIDE:
         return None
@@ -156,7 +156,7 @@ def squares_of(source: Source) -> Squares | None:
             return None
         header = kept_las(source.place, tables=True).header
         _check_identity(source, header)
-        with reading_errors(source.uri), header.open() as file:
+        with reading_errors(source.place), header.open() as file:
             some = spread_points(header, file)[:, :2]
             parts = min(16, math.isqrt(len(some) // 4))
             if len(some) > _FEW:

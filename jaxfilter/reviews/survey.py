@@ -33,7 +33,8 @@ from ..surveys.collection import open as open_collection
 from ..surveys.kept import list_places, suspects_in
 from ..surveys.measures import Recipe
 from ..surveys.options import RunOptions
-from ..surveys.product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
+from ..surveys.plan import Cut
+from ..surveys.product import CANDIDATE, KEPT, FileTask, Product, found_in, gathered, packed
 from ..surveys.report import REPORT, RunReport, Summary
 from ..surveys.small import carry_out
 from ..surveys.store import Store
@@ -72,7 +73,7 @@ class VerdictReport(RunReport):
         return super().complete and not self.problems
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class VerdictProduct(Product):
     """Files in which some classes follow verdicts; a tile is a site. ``new``: verdicts for the file ``log``, which is the output
     behind those of points."""
@@ -192,7 +193,10 @@ def apply_survey(
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
             logged = dataclasses.replace(targets, places=[*files, log.path])
             survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
-            report = carry_out(survey, VerdictProduct, sites=found, classes=classes, new=new, log=log.path)
+            product = VerdictProduct(
+                reading=reading, halo=run.halo, sites=found, classes=classes, new=new, log=log.path
+            )
+            report = carry_out(survey, product)
         if not run.dry_run:
             targets.discard()  # the log tells what is done
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
@@ -283,7 +287,7 @@ class Log:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ReviewProduct(Product):
     """The places of files that have classes; ``ground``: those of ground points; ``path``: of the list."""
 
@@ -344,4 +348,5 @@ def run_review(
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
     collection, reading = open_files(what, reading)
-    return carry_out(Survey(collection, Targets([out]), None, reading, run), ReviewProduct, ground=classes, path=path)
+    product = ReviewProduct(reading=reading, halo=run.halo, ground=classes, path=path)
+    return carry_out(Survey(collection, Targets([out]), None, reading, run), product)

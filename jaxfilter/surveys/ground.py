@@ -22,7 +22,8 @@ from .collection import Collection
 from .kept import WaterWanted, check_shapes, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .product import Cut, FileTask, Product, packed
+from .plan import Cut
+from .product import FileTask, Product, packed
 from .report import RunReport, Summary
 from .small import carry_out
 from .survey import survey_of_points
@@ -30,7 +31,7 @@ from .targets import Targets
 from .tiles import LOCAL, Around, Tile, part_of
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundProduct(Product):
     """Files with the classes of their points changed.
 
@@ -162,12 +163,13 @@ def ground(
     if listed is not None and outlined is not None and listed.absolute() == outlined.absolute():
         raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the places (review=): name another")
     survey = survey_of_points(what, out, recipe, reading, run)
-    return carry_out(
-        survey,
-        GroundProduct,
+    product = GroundProduct(
+        reading=survey.reading,
+        halo=run.halo,
         classes=classes,
         extra=tuple(Additions(extra).extra),
         review=listed,
         water=WaterWanted(path=outlined),
         into_text=all(place.suffix.lower() in TEXT for place in survey.targets.places),
     )
+    return carry_out(survey, product)

@@ -31,7 +31,7 @@ from .tiles import LOCAL, Tile
 _GRAIN = 1.0  # metres
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class HeightProduct(GroundNeeded):
     """Files with the height of every point; ``replace_z``: in place of Z."""
 
@@ -124,11 +124,12 @@ def heights(
     survey = survey_of_points(what, out, recipe, reading, run)
     if wrong := [place for place in survey.targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
-    return carry_out(
-        survey,
-        HeightProduct,
+    product = HeightProduct(
+        reading=survey.reading,
+        halo=run.halo,
         data=survey.collection.bounds,
         classes_of_ground=classes,
         grain=_GRAIN,
         replace_z=replace_z,
     )
+    return carry_out(survey, product)

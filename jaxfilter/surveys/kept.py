@@ -69,7 +69,6 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
         from ..files.vectors import write_features
 
         write_features(path, [table_of(places, collection.metre, collection.crs)], "review", overwrite=replace)
-        report.review = str(path)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,4 +108,3 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
         from ..files.vectors import write_features
 
         write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)
-        report.breaklines = str(wanted.path)

@@ -30,10 +30,11 @@ from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
+from .plan import Cut
 from .product import KEPT
 from .report import RunReport, Summary
 from .small import carry_out
-from .surroundings import FIND_GROUND, GroundNeeded, GroundSource, source_of_ground
+from .surroundings import FIND_GROUND, HALOS, GroundNeeded, GroundSource, source_of_ground
 from .survey import Survey, open_files
 from .targets import Targets
 from .tiles import LOCAL, Tile
@@ -59,7 +60,7 @@ class TerrainReport(RunReport):
     bounds: Bounds = (0.0, 0.0, 0.0, 0.0)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class RasterProduct(GroundNeeded):
     """Layers of the whole survey, of which every tile makes the cells of its core.
 
@@ -73,6 +74,10 @@ class RasterProduct(GroundNeeded):
     layers: tuple[Layer, ...]
     interpolation: Interpolation
     water: WaterWanted
+
+    def cut(self) -> Cut:
+        """Tiles that cover what is near ground as well."""
+        return dataclasses.replace(super().cut(), beyond=HALOS[-1])
 
     @property
     def reach(self) -> float:
@@ -160,7 +165,7 @@ class RasterProduct(GroundNeeded):
                     write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
-        report.seconds["write"] += time.perf_counter() - start
+        report.total.seconds["write"] += time.perf_counter() - start
 
     def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
@@ -269,9 +274,9 @@ def make_rasters(
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
-    return carry_out(
-        survey,
-        RasterProduct,
+    product = RasterProduct(
+        reading=survey.reading,
+        halo=run.halo,
         data=collection.bounds,
         classes_of_ground=classes,
         grain=cell * collection.metre,
@@ -280,3 +285,4 @@ def make_rasters(
         interpolation=interpolation,
         water=water if interpolation.level_water or water.path is not None else WaterWanted(False),
     )
+    return carry_out(survey, product)

@@ -236,7 +236,8 @@ def _halved(where: Where, cut: Cut) -> np.ndarray:
     if not len(where.points):
         return np.zeros((0, 4))
     few, cores = where.counts.sum() <= WHOLE, []
-    parts = [(np.array([-np.inf, -np.inf, np.inf, np.inf]), np.arange(len(where.points)))]
+    everything = np.append(where.low.min(axis=0), where.high.max(axis=0))
+    parts = [(_windows(everything, 0.0, lattice), np.arange(len(where.points)))]
     while parts:
         core, rows = parts.pop()
         own = where.meeting(core + np.array([-beyond, -beyond, beyond, beyond]), rows)

@@ -45,24 +45,23 @@ class FileTask:
     how: dict[str, Any]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Product:
     """What is made of every tile. A subclass says how, in ``tile``; ``REPORT`` is what is said in the end.
 
     Attributes:
         reading: which points count; where it has ``bounds``, points outside are not there.
-        whole: measures of the scene.
-        store: what is kept of tiles.
-        filter: that finds the ground; None if classes say what it is.
         halo: metres around each tile that the filter sees as well; None = as the filter says.
+        whole, store, filter: measures of the scene, what is kept of tiles, and what finds the ground (None if classes say what it
+            is), as the run sets them.
     """
 
     REPORT: ClassVar[type[RunReport]] = RunReport
     reading: Reading
-    whole: Whole | None
-    store: Memory
-    filter: Filter | None
     halo: float | None
+    whole: Whole | None = None
+    store: Memory = dataclasses.field(default_factory=Memory)
+    filter: Filter | None = None
 
     def cut(self) -> Cut:
         """The tiles that it is made in."""
@@ -84,7 +83,7 @@ class Product:
     def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
         report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
-        report.classes = Counter(dict(sorted(report.classes.items())))
+        report.total.classes = Counter(dict(sorted(report.total.classes.items())))
         if self.filter is not None:
             report.method, report.parameters = type(self.filter).__name__, dataclasses.asdict(self.filter)  # type: ignore[call-overload]
         report.measures = None if self.whole is None else dataclasses.asdict(self.whole)
@@ -103,7 +102,7 @@ class Product:
 
     def kept(self, report: RunReport, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         """Arrays of such names, of each tile that has kept some of them for the end of the run."""
-        done = np.flatnonzero(report.state != -1).tolist()
+        done = np.flatnonzero(report.table["ground"] != -1).tolist()
         return filter(None, (self.store.arrays(number, names) for number in done))
 
     def collected(self, task: FileTask, kinds: Mapping[str, type]) -> tuple[PointCloud, Found, dict[str, np.ndarray]]:

@@ -111,61 +111,74 @@ class Forecast(NamedTuple):
     files: list[str]
 
 
+TILE = np.dtype([("core", "f8", 4), ("ground", "f8")])
+"""A row of the table of tiles: xmin, ymin, xmax, ymax in file units; and the share of ground of the points, NaN where there are
+none, -1 for tiles that were set aside."""
+
+
 @dataclasses.dataclass
-class RunReport(Summary):
-    """What a run, with those that it went on from, has done. To what each :class:`Summary` has, of all tiles together:
+class RunReport:
+    """What a run, with those that it went on from, has done. The fields of ``total`` are fields of the report as well, such as
+    ``report.points``.
 
     Attributes:
-        tiles: number of them; set_aside: number, core and reason of those that failed.
-        files: written; failed: URI and reason of those that were not; left_out: URI and reason of files that could not be
-            read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
-            when this one went on, which made them again, with what was wrong.
-        elapsed: seconds of this process.
-        was_complete: an earlier run had done all, and this one did nothing; then nothing else here is known but ``files`` and
-            ``failed``.
+        total: of all tiles together.
+        table: :data:`TILE`[t], a row for each tile.
+        files: written, but for lists of places and breaklines.
+        set_aside: tiles that failed: number, core and reason. failed: URI and reason of files that were not written.
+        left_out: URI and reason of files that could not be read, so that tiles beside them had no halo there.
+        elapsed: seconds of this process. None: an earlier run had done all, and this one did nothing; then nothing else here is
+            known but ``files`` and ``failed``.
         places: where the terrain may be wrong, largest expected error volume first: a dict each of ``x``, ``y``, ``area``,
-            ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`. review: the file of the list, if one was written.
-        water: the bodies of water, where they were asked for. breaklines: the file of their outlines, if one was written.
+            ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`.
+        water: the bodies of water, where they were asked for.
         method, parameters: of the filter; None if the ground was taken from classes.
         measures: of the scene, which the parts share: see :class:`jaxfilter.core.cloud.Whole`; None for a single tile.
         forecast: what the run would do, of one that was not to write; then nothing else here is known.
-        cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
-            tiles that were set aside. For the map.
     """
 
-    tiles: int = 0
-    set_aside: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    total: Summary = dataclasses.field(default_factory=Summary)
+    table: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, TILE))
     files: list[str] = dataclasses.field(default_factory=list)
+    set_aside: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     failed: list[dict[str, str]] = dataclasses.field(default_factory=list)
     left_out: list[dict[str, str]] = dataclasses.field(default_factory=list)
-    again: list[dict[str, str]] = dataclasses.field(default_factory=list)
-    elapsed: float = 0.0
-    was_complete: bool = False
+    elapsed: float | None = None
     places: list[dict[str, Any]] = dataclasses.field(default_factory=list)
-    review: str | None = None
     water: WaterRuns | None = None
-    breaklines: str | None = None
     method: str | None = None
     parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     measures: dict[str, Any] | None = None
     forecast: Forecast | None = None
-    cores: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)))
-    state: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "total":
+            raise AttributeError(name)
+        return getattr(self.total, name)
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles."""
+        return len(self.table)
 
     @property
     def complete(self) -> bool:
         """Whether every file was written and none was left out."""
         return not (self.set_aside or self.failed or self.left_out)
 
+    @property
+    def was_complete(self) -> bool:
+        """Whether an earlier run had done all."""
+        return self.elapsed is None and self.forecast is None
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
-        found = dict(vars(self))
-        for name in ("cores", "state", "unread", "forecast", "water"):
+        found = vars(self.total) | vars(self) | {"tiles": self.tiles, "was_complete": self.was_complete}
+        for name in ("total", "table", "unread", "forecast", "water"):
             del found[name]
-        found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
-        found["seconds"] = dict(self.seconds)
+        found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.total.classes.items()]
         found["water_bodies"] = 0 if self.water is None else len(np.unique(self.water.body))
-        return found | {"complete": self.complete}
+        return found | {"seconds": dict(self.total.seconds), "complete": self.complete}
 
     def put_into(self, folder: Place) -> None:
         """Put the report, and a map, into a folder. Raises: OutputError."""
@@ -180,14 +193,15 @@ class RunReport(Summary):
     def draw(self, place: Place) -> None:
         """Write a map: share of ground of each tile, those set aside with dashes, and places where the terrain may be wrong as
         dots, large ones for large volumes; above it what was found, below it the largest places. Raises: OutputError."""
-        if not 0 < len(self.cores) <= _MOST_DRAWN:
+        if not 0 < self.tiles <= _MOST_DRAWN:
             return
         from ..plots import footprints
 
-        shares = np.where(self.state >= 0, 100 * self.state, np.nan)
-        aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
-        one = len(self.cores) == 1  # a scale of one colour would say nothing
-        ax = footprints(self.cores, None if one else shares, label="ground, % of the points", gaps=aside)
+        cores, ground = self.table["core"], self.table["ground"]
+        shares = np.where(ground >= 0, 100 * ground, np.nan)
+        aside = [tuple(core) for core in cores[ground < 0].tolist()]
+        one = self.tiles == 1  # a scale of one colour would say nothing
+        ax = footprints(cores, None if one else shares, label="ground, % of the points", gaps=aside)
         share = 100 * self.ground / max(self.points, 1)
         found = f"{self.ground:,} of {self.points:,} points are ground ({share:.1f} %)"
         parts = (f"tiles: {self.tiles:,}", f"set aside: {len(aside):,}", f"files: {len(self.files):,}")

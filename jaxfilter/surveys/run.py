@@ -36,7 +36,7 @@ from .measures import Recipe, Sampler, middle, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Cut, Plan, plan_tiles
 from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
-from .report import Forecast, RunReport, Standing, Summary, collected_warnings
+from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .survey import Survey
 from .tiles import WHOLE, Tile, read_tile
@@ -48,11 +48,11 @@ _TOO_OFTEN = 3.0
 _WAIT = 0.25  # seconds between looks at the progress
 
 
-def in_tiles(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+def in_tiles(survey: Survey, product: Product) -> RunReport:
     """Make a product of a survey in tiles. Returns, raises: as ``carry_out``."""
     files, options = survey.collection, survey.options
     claim = survey.targets if isinstance(survey.targets, Claim) else claim_of(survey.targets, options, len(files) == 1)
-    return TiledSurvey(files, claim, survey.recipe, survey.reading, options).carried_out(kind, settings)
+    return TiledSurvey(files, claim, survey.recipe, survey.reading, options).carried_out(product)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,15 +61,15 @@ class TiledSurvey(Survey):
 
     targets: Claim
 
-    def carried_out(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+    def carried_out(self, product: Product) -> RunReport:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns, raises: as ``carry_out``."""
         if self.options.dry_run:
-            return self._forecast(kind, settings)
+            return self._forecast(product)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
-            if (failed := self._done_before(kind, settings)) is not None:
-                return kind.REPORT(files=[str(place) for place in targets.places], failed=failed, was_complete=True)
-            product, plan = self._planned(kind, settings)
+            if (failed := self._done_before(product)) is not None:
+                return product.REPORT(files=[str(place) for place in targets.places], failed=failed)
+            product, plan = self._planned(product)
             self._record(product, plan)
             targets.make_parts()
             run = Run(product, plan, self.collection, targets, self.options)
@@ -92,22 +92,22 @@ class TiledSurvey(Survey):
                 store.discard()
         return run.report
 
-    def _done_before(self, kind: type[Product], settings: dict[str, Any]) -> list[dict[str, str]] | None:
+    def _done_before(self, product: Product) -> list[dict[str, str]] | None:
         """If ``resume`` finds that an earlier run has done all, but for renames: what that could not do. None if it has not."""
         targets, store = self.targets, self.targets.store
         if targets.complete(self.options):
             return []
         if targets.in_place and self.options.resume and store.done:
-            return targets.finish(self._asked(kind(self.reading, None, store, None, self.options.halo, **settings)))
+            return targets.finish(self._asked(product))
         return None
 
-    def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+    def _forecast(self, product: Product) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         self.targets.check(self.options)
         collection, options, nan = self.collection, self.options, math.nan
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            product, plan = dataclasses.replace(self, targets=targets)._planned(kind, settings)
+            product, plan = dataclasses.replace(self, targets=targets)._planned(product)
             each = _seconds_per_point(product, plan, collection)
         many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan)
         area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1)) if many and len(plan) else nan
@@ -118,10 +118,10 @@ class TiledSurvey(Survey):
         found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
         return product.REPORT(forecast=found)
 
-    def _planned(self, kind: type[Product], settings: dict[str, Any]) -> tuple[Product, Plan]:
+    def _planned(self, product: Product) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
         filter_, whole = self._filter()
-        product = kind(self.reading, whole, Store(self.targets.store.path), filter_, self.options.halo, **settings)
+        product = dataclasses.replace(product, whole=whole, store=Store(self.targets.store.path), filter=filter_)
         return product, self._plan(product.cut())
 
     def _plan(self, cut: Cut) -> Plan:
@@ -276,7 +276,8 @@ class Run:
         if self.targets.in_place:  # what no tile labels stays as it is
             self._is_written |= self._missing == 0
         self._standing = Standing("tiles", len(plan), times_read=plan.times_read(self.collection.count))
-        self.report = product.REPORT(tiles=len(plan), cores=plan.cores, state=np.full(len(plan), np.nan))
+        self.report = product.REPORT(table=np.zeros(len(plan), TILE), elapsed=0.0)
+        self.report.table["core"], self.report.table["ground"] = plan.cores, np.nan
 
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
@@ -351,12 +352,13 @@ class Run:
                 continue
             wrong = kept["seal"].broken(written(target, self.targets.part(file)))
             if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
-                self.report.again += [] if wrong is None else [{"file": str(target), "reason": wrong}]
+                if wrong is not None:
+                    self.report.total.remarks[f"{target}: {wrong}, so it had to be made again"] += 1
                 store.drop_seal(file)
                 continue
             self._is_written[file] = True
             self.report.files.append(str(target))
-            self.report.remarks.update(kept["remarks"])
+            self.report.total.remarks.update(kept["remarks"])
             self._need_no_more(file)
         done = np.zeros(len(plan), bool)
         for number, found in known.items():
@@ -385,7 +387,7 @@ class Run:
         standing, homes = self._standing, self.plan.home[number].tolist()
         standing.tiles_done += 1
         if outcome.reason is not None:
-            self.report.state[number] = -1
+            self.report.table["ground"][number] = -1
             core = self.plan.core(number)
             self.report.set_aside.append({"tile": number, "core": core, "reason": outcome.reason})
             lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
@@ -404,9 +406,9 @@ class Run:
         return sorted(complete - self._hopeless.keys())
 
     def _add(self, number: int, summary: Summary) -> None:
-        self.report.add(summary)
+        self.report.total.add(summary)
         if summary.points:
-            self.report.state[number] = summary.ground / summary.points
+            self.report.table["ground"][number] = summary.ground / summary.points
 
     def _take_file(self, number: int, outcome: Outcome) -> None:
         if outcome.reason is not None:
@@ -414,8 +416,8 @@ class Run:
             return
         self.store.put_seal(number, outcome.value)  # before the labels go
         self.report.files.append(str(self.targets.places[number]))
-        self.report.remarks.update(outcome.value["remarks"])
-        self.report.seconds["write"] += outcome.value["seconds"]
+        self.report.total.remarks.update(outcome.value["remarks"])
+        self.report.total.seconds["write"] += outcome.value["seconds"]
         for tile in self._need_no_more(number):
             self.store.strip(tile)
 
@@ -430,7 +432,7 @@ class Run:
 
     def _complete_report(self) -> None:
         report, uris = self.report, self.collection.uris
-        report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.unread.items())]
+        report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.total.unread.items())]
         report.files.sort()
         self.product.complete(report, self.collection, self.targets, self.options)
         report.elapsed = time.perf_counter() - self._start

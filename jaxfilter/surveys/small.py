@@ -15,15 +15,13 @@ from ..files.disk import is_there
 from .measures import whole_of
 from .options import check_memory
 from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
-from .report import REPORT, RunReport, Standing
+from .report import REPORT, TILE, RunReport, Standing
 from .survey import Survey
-from .tiles import LOCAL, WHOLE, Local, Memory, Tile
+from .tiles import LOCAL, WHOLE, Local, Tile
 
 
-def carry_out(survey: Survey, kind: type[Product], **settings: Any) -> Any:
-    """Do what is to be done: one small file in memory, and the rest in tiles. Returns: the report of the product.
-
-    ``settings``: the fields of the product, besides those of every :class:`Product`.
+def carry_out(survey: Survey, product: Product) -> Any:
+    """Make a product: of one small file in memory, and of the rest in tiles. Returns: the report of the product.
 
     Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
     of a single small file what is wrong with it.
@@ -34,20 +32,19 @@ def carry_out(survey: Survey, kind: type[Product], **settings: Any) -> Any:
             check_format(place, source.point_format)
     small = len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run
     if small and files.where.fills:
-        return in_memory(survey, kind, settings)
+        return in_memory(survey, product)
     from .run import in_tiles
 
-    return in_tiles(survey, kind, settings)
+    return in_tiles(survey, product)
 
 
-def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> RunReport:
+def in_memory(survey: Survey, product: Product) -> RunReport:
     """Make a product of one small file. Returns, raises: as :func:`carry_out`."""
     files, targets, options, reading = survey.collection, survey.targets, survey.options, survey.reading
-    store, start, replaced = Memory(), time.perf_counter(), options.overwrite or options.resume
-    product = kind(reading, None, store, None, options.halo, **settings)
+    store, start, replaced = product.store, time.perf_counter(), options.overwrite or options.resume
     made = [*targets.places, *([] if targets.folder is None else [targets.folder / REPORT])]
     if options.resume and not options.overwrite and not targets.in_place and all(map(is_there, made)):
-        return kind.REPORT(files=[str(place) for place in targets.places], was_complete=True)
+        return product.REPORT(files=[str(place) for place in targets.places])
     targets.check(options)
     check_memory(options, files.count)
     with targets.made_folder():
@@ -59,8 +56,7 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
         tiles = (0,) if source.count and wanted else ()
         tile = Tile(0, None, None, (0,), (source,))
         product = _set_up(survey, product, tile)
-        report = kind.REPORT(tiles=len(tiles), cores=np.array([files.bounds] * len(tiles)).reshape(-1, 4))
-        report.state = np.full(len(tiles), math.nan)
+        report = product.REPORT(table=np.array([(files.bounds, math.nan)] * len(tiles), TILE), elapsed=0.0)
         standing = Standing("tiles", 1)
         show = options.progress or (lambda standing: None)
         if tiles:
@@ -70,8 +66,8 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
             finally:
                 LOCAL.reset(local)
             store.put(0, arrays, {})
-            report.add(summary)
-            report.state[0] = summary.ground / summary.points if summary.points else math.nan
+            report.total.add(summary)
+            report.table["ground"] = summary.ground / summary.points if summary.points else math.nan
             standing.points = summary.points
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
@@ -79,8 +75,8 @@ def in_memory(survey: Survey, kind: type[Product], settings: dict[str, Any]) -> 
         if product.writes_files and wanted and (tiles or not targets.in_place):
             how = {"overwrite": replaced, "in_place": targets.in_place}
             seconds, remarks = done_file(product, FileTask(0, source, tiles, targets.places[0], how))
-            report.remarks.update(remarks)
-            report.seconds["write"] += seconds
+            report.total.remarks.update(remarks)
+            report.total.seconds["write"] += seconds
             report.files.append(str(targets.places[0]))
         report.elapsed = time.perf_counter() - start
         if targets.folder is not None:

@@ -16,8 +16,8 @@ from ..core.result import FilterResult
 from ..files.disk import Bounds
 from ..terrain.interpolation import Heights, Linear
 from .measures import Recipe, recipe_of
-from .plan import window_around
-from .product import Cut, Product
+from .plan import Cut, window_around
+from .product import Product
 from .report import Summary
 from .tiles import LOCAL, Around, Tile, inside
 
@@ -52,7 +52,7 @@ class Surroundings:
         return self.ground & inside(self.around.cloud, self.near)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundNeeded(Product):
     """A product for which the ground around each tile must be known.
 
