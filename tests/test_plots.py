@@ -39,11 +39,11 @@ def test_rasterise_takes_the_lowest_point_and_leaves_far_places_empty():
     assert z[0, 0] == 1.0 and z[-1, -1] == 2.0
     away = np.hypot(*(np.mgrid[: grid.ny, : grid.nx] * 1.0))
     away = np.minimum(away, away[::-1, ::-1])
-    np.testing.assert_array_equal(np.isnan(z), away > plots.REACH)
+    np.testing.assert_array_equal(np.isnan(z), away > plots.PICTURE_REACH)
 
 
 def test_rasterise_limits_the_picture_and_needs_points(cloud):
-    assert max(plots.rasterise(np.tile(cloud.xyz, (30, 1)))[1].shape) <= plots.MAX_PIXELS + 1
+    assert max(plots.rasterise(np.tile(cloud.xyz, (30, 1)))[1].shape) <= plots.PICTURE_CELLS + 1
     with pytest.raises(InputError, match="no points"):
         plots.rasterise(cloud.xyz[:0])
 

@@ -21,7 +21,7 @@ import click
 
 from ..core.process import collect_seldom
 from ..core.version import __version__
-from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
+from .options import BREAKLINES, BY_DATA, READING, RUN_OPTIONS, WRITTEN, check_shapes, open_files, take, take_classes
 from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
 from .session import Session, logger, stoppable
 from .values import CLASS, INPUT, OUTPUT, on_command_line, option
@@ -154,7 +154,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
         REVIEW,
         BREAKLINES,
-        *RUN,
+        *RUN_OPTIONS,
         *SESSION,
     ]
     if method is not None:

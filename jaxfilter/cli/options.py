@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from ..surveys.options import RunOptions
 
 T = TypeVar("T")
-UNITS = option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT")
-CRS = option(
+UNITS_OPTION = option(
+    "--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"
+)
+CRS_OPTION = option(
     "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
 )
-STATED = [UNITS, CRS]
+STATED_OPTIONS = [UNITS_OPTION, CRS_OPTION]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
 AOI = option(
     "--aoi",
@@ -39,7 +41,7 @@ DUPLICATES = option(
     bool,
 )
 READING = [
-    *STATED,
+    *STATED_OPTIONS,
     BOUNDS,
     AOI,
     option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
@@ -86,10 +88,10 @@ WRITTEN = [
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
 PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
 FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
-WIDTH = option(
+LARGEST_BUILDING = option(
     "--largest-building", "Width of the largest building; sets what depends on it, as --for-cloud does.", METRES
 )
-BY_DATA = [FOR_CLOUD, WIDTH]
+BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
 BREAKLINES = option(
     "--breaklines", "Also write the outlines of water bodies, with their level, as .gpkg or .geojson.", OUTPUT
@@ -98,9 +100,9 @@ FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 _OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
-GROUND = [*FILTER, CLASSES, *STATED, AOI]
+GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI]
 """What is ground."""
-RUN = [
+RUN_OPTIONS = [
     option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
     option(
         "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
@@ -118,7 +120,7 @@ RUN = [
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
 MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
-SWEPT = [FIELDS, PRESET, WIDTH, *STATED, MEMORY, THREADS]
+SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED_OPTIONS, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)
 
