@@ -14,6 +14,7 @@ from ..core.errors import InputError
 from ..core.grid import Grid, grid_over
 from ..core.result import FilterResult
 from ..scoring import reference_labels
+from ..terrain.layers import Hillshade
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"
@@ -96,10 +97,8 @@ def map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
 
 
 def shade(z: np.ndarray, cell: float) -> np.ndarray:
-    """f32[ny, nx], 0 (dark) to 1: light from the north-west at 45 degrees; NaN where the surface is."""
-    dy, dx = (np.gradient(z, cell, axis=axis) if z.shape[axis] > 1 else np.zeros_like(z) for axis in range(2))
-    light = np.array([-0.5, 0.5, math.sqrt(0.5)])
-    return np.clip((light[2] - light[0] * dx - light[1] * dy) / np.sqrt(1.0 + dx**2 + dy**2), 0.0, 1.0)
+    """f32[ny, nx], 0 (dark) to 1: the light of :func:`jaxfilter.hillshade`, for heights whose row 0 is the southern edge."""
+    return Hillshade().shade(z[::-1], cell, 1.0)[::-1] / 255
 
 
 def _image(ax: Any, picture: np.ndarray, grid: Grid, **style: Any) -> Any:
@@ -378,10 +377,8 @@ def _labels(result: FilterResult | np.ndarray) -> np.ndarray:
 
 def _errors(ground: np.ndarray, reference: np.ndarray) -> list[tuple[str, np.ndarray, str]]:
     """Name, bool[n] and colour of both kinds of errors."""
-    return [
-        ("Type I, ground lost", reference & ~ground, TYPE_1),
-        ("Type II, object accepted", ground & ~reference, TYPE_2),
-    ]
+    lost, accepted = reference & ~ground, ground & ~reference
+    return [("Type I, ground lost", lost, TYPE_1), ("Type II, object accepted", accepted, TYPE_2)]
 
 
 def _valid(cloud: PointCloud) -> np.ndarray:

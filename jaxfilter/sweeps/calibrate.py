@@ -7,7 +7,6 @@ import functools
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,10 +62,7 @@ class Calibration:
     trials: xarray.Dataset
     searched: tuple[str, ...]
 
-    def _repr_html_(self) -> str:
-        return f"<p>{escape(str(self))}</p>"
-
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         name = "total error" if self.trials.attrs["score"] == "total" else "kappa"
         changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
         return (
