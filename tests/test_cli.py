@@ -235,7 +235,7 @@ def test_low_outliers_get_the_class_of_noise(folder, scene):
 @pytest.mark.parametrize("source", ["truth.txt", "scene.laz"])
 def test_text_without_classes_cannot_hold_noise(folder, source):
     result = ground(folder, "--noise-class", "7", source=source, target="out.txt", method="smrf")
-    assert_one_line(result, 1, "out.txt", "noise_class=7")
+    assert_one_line(result, 1, "out.txt", "--noise-class 7")
     assert not (folder / "out.txt").exists()
 
 
@@ -322,7 +322,7 @@ def test_evaluate_counts_points_in_any_order(folder, scene, source, reference):
 def test_evaluate_prints_a_table_and_undefined_figures_as_null(folder, scene):
     write(folder / "empty.laz", scene.cloud, np.zeros(len(scene), bool), reset="all")
     plain = done("evaluate", folder / "empty.laz", folder / "truth.laz").stdout
-    assert "undefined" in plain and "100.00" in plain
+    assert "Type I 100.00" in plain and "reference object            0      2,565" in plain
     assert facts("evaluate", folder / "empty.laz", folder / "truth.laz")["precision"] is None
 
 

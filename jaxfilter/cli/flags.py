@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..methods import FILTERS
@@ -65,14 +64,14 @@ def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamTyp
 
 
 def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
-    """A value of a field from its text, not yet held against its limits. Raises ParameterError naming the ``option``."""
+    """A value of a field from its text, not yet held against its limits. Raises BadUsage naming the ``option``."""
     known = fields(method)
     if name not in known:
-        raise ParameterError(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
+        raise BadUsage(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
     try:
         return _kind(method, known[name]).convert(text, None, None)
     except click.UsageError as error:
-        raise ParameterError(f"{option} {name}={text}: {error.message}") from error
+        raise BadUsage(f"{option} {name}={text}: {error.message}") from error
 
 
 def words_for(name: str, value: Any) -> list[str]:

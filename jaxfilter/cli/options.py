@@ -22,13 +22,12 @@ if TYPE_CHECKING:
     from ..surveys.options import RunOptions
 
 T = TypeVar("T")
-UNITS_OPTION = option(
-    "--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"
-)
-CRS_OPTION = option(
-    "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
-)
-STATED_OPTIONS = [UNITS_OPTION, CRS_OPTION]
+STATED_OPTIONS = [
+    option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"),
+    option(
+        "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
+    ),
+]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
 AOI = option(
     "--aoi",
@@ -40,6 +39,7 @@ DUPLICATES = option(
     "Write an echo that several LAS files hold, such as tiles with a buffer, into the first of them only.",
     bool,
 )
+DROP_INVALID = option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool)
 READING = [
     *STATED_OPTIONS,
     BOUNDS,
@@ -56,7 +56,7 @@ READING = [
     ),
     option("--ignore-overlap", "Points of class 12 or with the overlap flag are not judged either.", bool),
     option("--keep-withheld", "Judge points with the withheld flag as well.", bool),
-    option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool),
+    DROP_INVALID,
     DUPLICATES,
 ]
 """Fields of Reading."""
@@ -100,7 +100,7 @@ FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 _OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
-GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI]
+GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI, DROP_INVALID]
 """What is ground."""
 RUN_OPTIONS = [
     option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),

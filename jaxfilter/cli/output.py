@@ -210,8 +210,8 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
     def run(as_json: bool, log: Path | None, **arguments: Any) -> None:
         how = {name: arguments.pop(name) for name in ("quiet", "debug", "progress_every")}
         names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
-        files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
-        if log is not None and os.path.realpath(log) in files:
+        files = [name for name in names if log is not None and isinstance(name, (str, Path))]
+        if log is not None and os.path.realpath(log) in map(os.path.realpath, files):
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
         with Session(log=log, **how) as session:
             answer = command(session, **arguments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import logging
 import os
@@ -65,6 +66,9 @@ def stoppable() -> Iterator[None]:
     finally:
         for number, handler in old.items():
             signal.signal(number, handler)
+        atexit.register(
+            signal.signal, signal.SIGINT, signal.SIG_DFL
+        )  # what JAX does at the end of the process prints no traceback
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -99,23 +103,6 @@ def memory() -> float:
     return total
 
 
-def in_flags(text: str) -> str:
-    """A message of the library in the words of the running command: ``pass drop_invalid=True`` becomes
-    ``pass --drop-invalid``, and ``leave out crs=`` becomes ``leave out --crs``. Arguments that the command has no flag for stay,
-    and so do values that were given (``cell=0``)."""
-    context = click.get_current_context(silent=True) or Session.command  # threads have no context
-    options = {p.name: p for p in context.command.params if isinstance(p, click.Option)} if context else {}
-
-    def flag(found: re.Match[str]) -> str:
-        verb, name, value = found[1] or "", found[2], found[3]
-        if (option := options.get(name)) is None or (value and not verb):
-            return found[0]
-        return f"{verb}{option.opts[0]}" + (f" {value}" if value and not option.is_flag else "")
-
-    words = r"\b(pass |leave out |with )?(\w+)=([\w.]*+)(?!['\"\[({-])"
-    return re.sub(words, flag, " ".join(text.split()))
-
-
 class Session:
     """A context in which a command runs. Messages go to standard error, one line each, and with steps and times to the file
     ``log``. Errors of this package and of the system become one line and an exit code: 2 for parameters, and for all that is
@@ -123,8 +110,6 @@ class Session:
 
     running = 0
     """How many there are now."""
-    command: click.Context | None = None
-    """The command that runs."""
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
@@ -136,6 +121,8 @@ class Session:
         self.steps: dict[str, float] = {}
         self.warnings: list[str] = []
         self.pipe: Path | None = None
+        context = click.get_current_context(silent=True)
+        self._flags = {p.name: p.opts[0] for p in context.command.params} if context else {}
         self._terminal = sys.stderr.isatty() and not quiet
         self._every = _DRAWN_EVERY if self._terminal else progress_every
         self._working = False
@@ -158,7 +145,6 @@ class Session:
         warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
         compilation.keep_compilations()
         Session.running, Session.stopped_by = Session.running + 1, None
-        Session.command = click.get_current_context(silent=True)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -178,14 +164,14 @@ class Session:
         if error is None:
             logger.info(f"done in {perf_counter() - self._start:.2f} s")
         elif isinstance(error, KeyboardInterrupt):
-            error.__notes__ = [in_flags(note) for note in getattr(error, "__notes__", [])]
+            error.__notes__ = [self.in_flags(note) for note in getattr(error, "__notes__", [])]
             logger.error("stopped by a signal")
         elif isinstance(error, click.ClickException):
             logger.error(error.format_message())
         elif isinstance(error, JaxfilterError):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error if self.debug else None)
             usage = isinstance(error, ParameterError) or not self._working
-            return error if self.debug else (BadUsage if usage else click.ClickException)(in_flags(str(error)))
+            return error if self.debug else (BadUsage if usage else click.ClickException)(self.in_flags(str(error)))
         elif isinstance(error, Exception):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error)
             return error if self.debug else click.ClickException(" ".join(f"{type(error).__name__}: {error}".split()))
@@ -249,9 +235,19 @@ class Session:
 
     def warn(self, text: str) -> None:
         """A line of warning, in the words of the command."""
-        logger.warning(text := in_flags(text))
+        logger.warning(text := self.in_flags(text))
         self._clear()
         click.echo(f"warning: {text}", err=True)
+
+    def in_flags(self, text: str) -> str:
+        """A message of the library for users of the command: ``name=value`` is ``--name value`` and ``name=True`` is ``--name``,
+        where the command has such an option."""
+
+        def flag(found: re.Match[str]) -> str:
+            name, value = found.groups()
+            return f"{self._flags[name]} {value}".rstrip() if name in self._flags else found[0]
+
+        return re.sub(r"(?<![\w(])(\w+)=(?:True\b)?([^\s,;:.)]?)", flag, " ".join(text.split()))
 
     def _clear(self) -> None:
         """Take the line of progress away."""
@@ -269,8 +265,7 @@ class Session:
 
     def warn_of(self, message: str, times: int = 1) -> None:
         """A line on a warning of the library that came so often, the first time that it comes."""
-        text = in_flags(message)
-        if text not in self.warnings:
+        if (text := self.in_flags(message)) not in self.warnings:
             self.warnings.append(text)
             self.warn(text + (f" ({times} times)" if times > 1 else ""))
 

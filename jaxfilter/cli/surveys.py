@@ -12,7 +12,7 @@ from ..core.reading import Reading
 from .commands import command
 from .options import REPLACE, STATED_OPTIONS, check_target, open_survey, take
 from .output import Answer, count, table_text
-from .session import Session, in_flags
+from .session import Session
 from .values import OUTPUT, option
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, "\n".join([_survey_text(survey), *map(in_flags, findings.lines())]))
+    return Answer(facts, "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())]))
 
 
 def _plain(value: Any) -> str:

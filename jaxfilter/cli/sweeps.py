@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
+from ..sweeps.best import SCORES, axes_of, best_sets, word
 from .commands import command
 from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
-from .output import Answer, count, json_text, table_text, times
+from .output import Answer, count, json_text, times
 from .session import BadUsage, Session
 from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..surveys.measures import Recipe
 
-SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 _VALUES = "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from."
 _DESIGN = (
@@ -57,7 +57,6 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     """
     from ..core.errors import InputError
     from ..sweeps import sweep as sweeps
-    from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
     recipe, filter_, reading = _take_method(options)
@@ -140,7 +139,6 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     from ..files.reading import read
     from ..sweeps import calibrate as sweeps
     from ..sweeps import labels as labelling
-    from ..sweeps.best import word
     from ..sweeps.design import make_design
     from . import flags
 
@@ -259,7 +257,6 @@ def _write(
     """All files of a sweep; their names. Pictures of a sweep that was replaced, and links, are removed."""
     from .. import plots
     from ..files.disk import new_file
-    from ..sweeps.best import axes_of, word
 
     of_words = {  # values that are not all of one type, which NetCDF cannot hold
         name: (values.dims, [word(value) for value in values.values], values.attrs)
@@ -291,12 +288,8 @@ def _write(
 
 
 def _sets_text(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> str:
-    from ..sweeps.best import SCORES, axes_of, word
-
     names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
-    rows = [
-        (str(number), *(word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
-        for number, row in table.iterrows()
-    ]
+    shown = table[[*names, *SCORES]].reset_index().rename(columns=heads)
     title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
-    return f"{title}\n{table_text(('set', *names, *(heads.get(name, name) for name in SCORES)), rows)}"
+    text = shown.to_string(index=False, float_format="%.2f", formatters=dict.fromkeys(names, word))
+    return f"{title}\n{text}"
