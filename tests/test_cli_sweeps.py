@@ -254,7 +254,7 @@ def test_calibrate_prints_the_command_and_keeps_files(folder):
     options = ("--axis", "slope=0.1..0.4", "--score", "kappa", "--set", "window=10", "--out", folder / "a.json")
     result = calibrate(folder, *options)
     assert result.exit_code == 0, result.output
-    assert "SMRF: slope 0." in result.stdout and "kappa" in result.stdout and "24 sets" in result.stdout
+    assert "SMRF(slope=0." in result.stdout and "kappa" in result.stdout and "24 sets" in result.stdout
     command = next(line for line in result.stdout.splitlines() if line.startswith("jaxfilter ground smrf"))
     assert "--slope 0." in command and "--window 10.0" in command and "--threshold" not in command
     assert_one_line(calibrate(folder, *options), 2, "a.json exists", "--overwrite")

@@ -74,14 +74,6 @@ def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
         raise BadUsage(f"{option} {name}={text}: {error.message}") from error
 
 
-def words_for(name: str, value: Any) -> list[str]:
-    """The words that set a field on the command line."""
-    flag = _flag(name)
-    if isinstance(value, bool):
-        return [flag if value else f"--no-{flag[2:]}"]
-    return [flag, "none" if value is None else str(value)]
-
-
 def changed(filter_: Filter, base: Filter) -> dict[str, Any]:
     """The fields in which a filter differs from another of its kind."""
     values = {name: getattr(filter_, name) for name in fields(type(filter_))}
@@ -90,5 +82,11 @@ def changed(filter_: Filter, base: Filter) -> dict[str, Any]:
 
 def command_for(filter_: Filter, names: Sequence[str], base: Filter) -> list[str]:
     """The words of a command that runs a filter over files, after those that make ``base`` of it."""
-    words = (word for name, value in changed(filter_, base).items() for word in words_for(name, value))
-    return ["jaxfilter", "ground", type(filter_).__name__.lower(), *names, *words]
+    words = ["jaxfilter", "ground", type(filter_).__name__.lower(), *names]
+    for name, value in changed(filter_, base).items():
+        flag = _flag(name)
+        if isinstance(value, bool):
+            words.append(flag if value else f"--no-{flag[2:]}")
+        else:
+            words += [flag, "none" if value is None else str(value)]
+    return words

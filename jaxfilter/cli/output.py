@@ -98,7 +98,7 @@ def tell(session: Session, report: RunReport) -> None:
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
     for remark, times in report.remarks.items():
-        session.warn_of(remark, times)
+        session.warn(remark, times)
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:
@@ -158,21 +158,10 @@ def table_text(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int 
 
 
 def json_text(value: Any) -> str:
-    """A value as JSON; see ``_plain`` for what JSON does not know."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    """Values that JSON knows: NumPy values become numbers and lists, NaN becomes null, the rest strings."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
-    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
+    """A value as JSON: NumPy values become numbers and lists, NaN becomes null, what else JSON does not know text."""
+    text = json.dumps(value, default=lambda one: one.tolist() if hasattr(one, "tolist") else str(one))
+    known = json.loads(text, parse_constant={"NaN": None, "Infinity": "inf", "-Infinity": "-inf"}.get)
+    return json.dumps(known, indent=2)
 
 
 @dataclasses.dataclass(frozen=True)

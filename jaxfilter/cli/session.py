@@ -142,7 +142,7 @@ class Session:
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
-        warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
+        warnings.showwarning = lambda message, *_, **__: self.warn(str(message))
         compilation.keep_compilations()
         Session.running, Session.stopped_by = Session.running + 1, None
         return self
@@ -233,9 +233,13 @@ class Session:
             self._clear()
             click.echo(text, err=True)
 
-    def warn(self, text: str) -> None:
-        """A line of warning, in the words of the command."""
-        logger.warning(text := self.in_flags(text))
+    def warn(self, text: str, times: int = 1) -> None:
+        """A line of warning, in the words of the command, the first time that it comes; ``times``: how often it came at once."""
+        if (text := self.in_flags(text)) in self.warnings:
+            return
+        self.warnings.append(text)
+        text += f" ({times} times)" if times > 1 else ""
+        logger.warning(text)
         self._clear()
         click.echo(f"warning: {text}", err=True)
 
@@ -262,12 +266,6 @@ class Session:
         if running:
             self.steps[running] = self.steps.get(running, 0.0) + now - since
         self._mark = (step, now)
-
-    def warn_of(self, message: str, times: int = 1) -> None:
-        """A line on a warning of the library that came so often, the first time that it comes."""
-        if (text := self.in_flags(message)) not in self.warnings:
-            self.warnings.append(text)
-            self.warn(text + (f" ({times} times)" if times > 1 else ""))
 
     def as_dict(self) -> dict[str, Any]:
         """Seconds by step of the command and of the filter, compilations, and warnings."""

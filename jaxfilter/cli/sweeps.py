@@ -165,14 +165,12 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     with session.step("calibrate", options["size"] * options["rounds"], "sets"):
         session.progress(0.0, "labels")
         found = sweeps.calibrate(filter_, cloud, labels, axes=ranges, progress=session.progress, **options)
-    method, best = type(filter_), found.filter
-    names = [str(source), "OUT", *stated]
-    truth, trials = {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())}, found.trials
+    method, best, trials = type(filter_), found.filter, found.trials
     facts = {
         "method": method.__name__,
         "input": str(source),
         "labels": str(labels_file or source),
-        "labelled": truth,
+        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
         "score": trials.attrs["score"],
         "cross_validated": found.score,
         "spread": found.spread,
@@ -182,18 +180,13 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
         "found": {name: getattr(best, name) for name in found.searched},
         "changed": flags.changed(best, method()),
         "parameters": dataclasses.asdict(best),  # type: ignore[call-overload]
-        "command": shlex.join(flags.command_for(best, names, method())),
+        "command": shlex.join(flags.command_for(best, [str(source), "OUT", *stated], method())),
         **session.as_dict(),
     }
     if out is not None:
         with new_file(out, overwrite=overwrite) as temporary:
             temporary.write_text(json_text(facts) + "\n")
-    text = (
-        f"{method.__name__}: {', '.join(f'{name} {word(value)}' for name, value in facts['found'].items())}\n"
-        f"{'total error' if facts['score'] == 'total' else 'kappa'} {found.score:.2f} +- {found.spread:.2f} %, "
-        f"cross-validated over {facts['folds']} folds of {truth['ground']:,} ground and {truth['object']:,} object points; "
-        f"{found.before:.2f} % before\n{facts['sets']:,} sets; {times(session.seconds)}\n{facts['command']}"
-    )
+    text = f"{found}\n{times(session.seconds)}\n{facts['command']}"
     return Answer(facts, text + (f"\nin {out}" if out is not None else ""))
 
 

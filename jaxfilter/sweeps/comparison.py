@@ -330,12 +330,12 @@ def least_p(clouds: int) -> float:
 
 def holm(p: Sequence[float]) -> list[float]:
     """p-values of several tests corrected by Holm's step-down procedure (Scand. J. Stat. 6, 65-70, 1979); NaN stays."""
-    known = sorted((value, i) for i, value in enumerate(p) if not math.isnan(value))
-    out, largest = [math.nan] * len(p), 0.0
-    for rank, (value, i) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * value))
-        out[i] = largest
-    return out
+    given = np.asarray(p, np.float64)
+    order = np.argsort(given)  # NaN last
+    steps = np.count_nonzero(~np.isnan(given)) - np.arange(len(given))
+    out = np.empty(len(given))
+    out[order] = np.minimum(np.maximum.accumulate(steps * given[order]), 1.0)
+    return out.tolist()
 
 
 def _row(
