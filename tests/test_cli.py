@@ -371,7 +371,6 @@ def test_demo_runs_again_from_the_compilation_cache(tmp_path, private_folder):
 @pytest.mark.parametrize("arguments, words", [
     (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
     (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
-    (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
     (("compare", "in.laz"), "jf.compare"),
     (("review", "in.laz"), "OUT is missing"),
     (("ground", "fptd", "{scene}"), "OUT is missing"),

@@ -100,10 +100,3 @@ def test_profile_holds_the_points_of_the_strip_by_distance(cloud):
     assert len(other.get_offsets()) == (strip & ~cloud.reference).sum()
     with pytest.raises(InputError, match="no length"):
         plots.profile(cloud, cloud.reference, ((1.0, 1.0), (1.0, 1.0)))
-
-
-def test_panel_saves(cloud, tmp_path):
-    figure = plots.panel(cloud, cloud.reference, cloud.reference)
-    figure.savefig(tmp_path / "panel.png")
-    assert (tmp_path / "panel.png").read_bytes().startswith(b"\x89PNG")
-    assert len(figure.axes) == 5

@@ -13,8 +13,8 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
-from jaxfilter.core.compilation import in_turn, on_processor
-from jaxfilter.core.filter import ground_each, watched
+from jaxfilter.core.compilation import on_processor
+from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
@@ -25,22 +25,16 @@ from jaxfilter.engines.tin.growth import Vertices
 
 @pytest.fixture(scope="module")
 def cloud():
-    return labelled(scenes.make("mixed", size=90.0, density=1.5, seed=3))
+    return unclassified(scenes.make("mixed", size=90.0, density=1.5, seed=3))
 
 
 @pytest.fixture(scope="module")
 def hills():
-    return labelled(scenes.make("mountain", size=80.0, density=1.5, seed=5))
+    return unclassified(scenes.make("mountain", size=80.0, density=1.5, seed=5))
 
 
-def labelled(scene):
-    cloud = scene.cloud
-    return jf.PointCloud.from_arrays(
-        cloud.coordinates(),
-        return_number=cloud.return_number,
-        number_of_returns=cloud.number_of_returns,
-        reference=scene.truth,
-    )
+def unclassified(scene):
+    return dataclasses.replace(scene.cloud, classification=None)
 
 
 def labels_of(filter_, sets, cloud):
@@ -238,17 +232,6 @@ def test_a_sweep_of_ost_finds_out_once_what_no_swept_field_changes(hills, monkey
     assert len(found) == 1
     jf.sweep(jf.OST(window=15.0), hills, {"void": [8.0, 20.0], "slope": [0.05, 0.1]}, workers=1)
     assert len(found) == 3
-
-
-def test_threads_keep_the_device_of_their_caller():
-    device = jax.devices()[0]
-
-    def used(_):
-        return jax.config.values["jax_default_device"]
-
-    assert list(in_turn(used, [0], 1)) == [(0, None)]
-    with jax.default_device(device):
-        assert list(in_turn(used, [0, 1], 1)) == [(0, device), (1, device)]
 
 
 def test_kernels_of_the_triangulation_run_on_the_processor_unless_a_device_was_chosen(hills, monkeypatch):
@@ -569,14 +552,6 @@ def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills
 def test_a_batch_in_whose_cells_a_threshold_takes_part_is_refused(user, hills):
     with pytest.raises(jf.ParameterError, match="the cells of Mine depend on 'threshold': declare it as static"):
         jf.batch([hills], user)
-
-
-@pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])
-def test_no_limit_of_the_growth_decides_where_it_starts(method, hills):
-    one, read = watched(method())
-    one.start(canonical_points(hills), 1, lambda share, step: None)
-    limits = {"max_angle", "max_elevation", "max_distance", "stop_ratio"}
-    assert not read & limits and limits & {field.name for field in dataclasses.fields(method)}
 
 
 def test_a_checkpoint_does_not_outlive_an_edit_of_the_filter(cloud, tmp_path, monkeypatch):

@@ -33,8 +33,6 @@ REVIEW = option("--review", "Also write the places where the terrain may be wron
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
-    "--resolution": "the side of a method's cells is --cell, as in jaxfilter ground smrf "
-    "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
     "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
     "classify": "that is jaxfilter ground IN OUT",
     "filter": "that is jaxfilter ground IN OUT",

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 CELL = [
-    option("--cell --resolution cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
+    option("--cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
     option(
         "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
