@@ -284,7 +284,7 @@ def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder)
 
 def test_places_and_breaklines_are_two_files(folder):
     both, made = folder / "both.gpkg", folder / "made"
-    assert_one_line(ground(folder, "--review", both, "--breaklines", both), 2, "both.gpkg", "name two")
+    assert_one_line(ground(folder, "--review", both, "--breaklines", both), 2, "both.gpkg", "name another")
     words = ("--classified", 2, "--overwrite", "--only", "contours", "--breaklines", made / "contours.gpkg")
     assert_one_line(run("products", folder / "truth.laz", made, *words), 2, "contours.gpkg", "name another")
     assert not both.exists() and not made.exists()

@@ -50,11 +50,9 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except click.NoSuchOption as error:
-                if error.option_name not in _INSTEAD:
-                    raise
-                raise click.UsageError(
-                    f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}.", error.ctx
-                ) from error
+                if error.option_name in _INSTEAD:
+                    error.message = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
+                raise
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -221,15 +220,10 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
 
 def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
     """As :func:`check_target`, for files of shapes of a run that may go on."""
-    named = list(filter(None, targets))
-    if not named:
-        return
-    from ..files.vectors import SUFFIXES
+    for target in filter(None, targets):
+        from ..files.vectors import SUFFIXES
 
-    for target in named:
         check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
-    if len({os.path.realpath(target) for target in named}) < len(named):
-        raise BadUsage(f"{named[0]}: one file cannot hold both places and breaklines: name two")
 
 
 @dataclasses.dataclass(frozen=True)

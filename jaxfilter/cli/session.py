@@ -138,7 +138,9 @@ class Session:
         process.share_heaps()
         compilation.watch_compilations()
         if self.log is not None:
-            self._stack.enter_context(_logged(self.log))
+            handler = self._stack.enter_context(contextlib.closing(_open_log(self.log)))
+            logger.addHandler(handler)
+            self._stack.callback(logger.removeHandler, handler)
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
@@ -295,9 +297,8 @@ class _LogFile(logging.FileHandler):
             super().close()
 
 
-@contextlib.contextmanager
-def _logged(path: Path) -> Iterator[None]:
-    """A block whose messages to the ``logger`` are appended to a file. Raises BadUsage if that cannot be, or it is no text."""
+def _open_log(path: Path) -> _LogFile:
+    """Appends what the ``logger`` gets to a file. Raises BadUsage if that cannot be, or it is no text."""
     try:
         if path.is_file():
             with path.open("rb") as file:
@@ -307,9 +308,4 @@ def _logged(path: Path) -> Iterator[None]:
     except OSError as error:
         raise BadUsage(f"--log {path}: cannot be written: {error.strerror}") from error
     handler.setFormatter(logging.Formatter("{asctime}.{msecs:03.0f} {levelname} {message}", "%Y-%m-%dT%H:%M:%S", "{"))
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.close()
+    return handler

@@ -214,11 +214,9 @@ def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] |
         if not drawn:
             raise BadUsage(f"{given}: a range needs --design random or sobol, and --size")
         low, _, high = text.partition("..")
-        if not (low and high):
-            raise BadUsage(f"{given}: write a range as LOW..HIGH")
-        ends = values((low, high))
-        if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
-            raise BadUsage(f"{given}: a range needs numbers; give words as a list")
+        ends = values((low, high)) if low and high else []
+        if not ends or any(isinstance(end, bool) or not isinstance(end, (int, float)) for end in ends):
+            raise BadUsage(f"{given}: write a range of numbers as LOW..HIGH, and words as a list")
         return ends[0], ends[1]
     if ":" not in text:
         return values(text.split(","))
