@@ -22,12 +22,8 @@ def survey(tmp_path_factory, scene):
     xyz, cloud = scene.cloud.coordinates(), scene.cloud
     west = xyz[:, 0] < np.median(xyz[:, 0])
     for name, rows in (("west", west), ("east", ~west)):
-        part = jf.PointCloud.from_arrays(
-            xyz[rows],
-            crs="EPSG:25832",
-            return_number=cloud.return_number[rows],
-            number_of_returns=cloud.number_of_returns[rows],
-        )
+        echoes = {key: getattr(cloud, key)[rows] for key in ("return_number", "number_of_returns")}
+        part = jf.PointCloud.from_arrays(xyz[rows], crs="EPSG:25832", **echoes)
         jf.write(folder / f"{name}.laz", part, np.zeros(len(part), bool), only_ground=True)
     return folder
 

@@ -141,17 +141,8 @@ def test_values_that_are_none_or_words_are_stored_as_words(folder):
     assert found["low_clusters"].values.tolist() == [True, False]
     last = jf.SPF(fill="zero", low_clusters=False)(read(folder / "truth.laz", units="m"))
     assert found["ground"].values[1] == last.ground.sum()
-    facts(
-        "sweep",
-        "ost",
-        folder / "truth.laz",
-        folder / "out",
-        "--axis",
-        "spacing=none,2",
-        "--axis",
-        "rounds=0",
-        "--fresh",
-    )
+    axes = ("--axis", "spacing=none,2", "--axis", "rounds=0", "--fresh")
+    facts("sweep", "ost", folder / "truth.laz", folder / "out", *axes)
     assert stored(folder)["spacing"].values.tolist() == ["none", "2"]
 
 
