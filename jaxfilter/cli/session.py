@@ -122,7 +122,8 @@ class Session:
         self.warnings: list[str] = []
         self.pipe: Path | None = None
         context = click.get_current_context(silent=True)
-        self._flags = {p.name: p.opts[0] for p in context.command.params} if context else {}
+        options = [p for p in context.command.params if isinstance(p, click.Option)] if context else []
+        self._flags = {option.name: option.opts[0] for option in options}
         self._terminal = sys.stderr.isatty() and not quiet
         self._every = _DRAWN_EVERY if self._terminal else progress_every
         self._working = False
