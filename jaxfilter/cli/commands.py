@@ -50,9 +50,10 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except click.NoSuchOption as error:
-                if error.option_name in _INSTEAD:
-                    error.message = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
-                raise
+                if error.option_name not in _INSTEAD:
+                    raise
+                words = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
+                raise click.UsageError(words, error.ctx) from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
