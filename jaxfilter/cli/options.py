@@ -145,13 +145,13 @@ def take_run(options: dict[str, Any], session: Session) -> RunOptions:
     from ..surveys.options import RunOptions
     from ..surveys.report import Standing
 
-    told = False
+    noted = False
 
     def show(standing: Standing) -> None:
-        nonlocal told
+        nonlocal noted
         many = standing.tiles > 1
-        if many and not told:
-            told = True
+        if many and not noted:
+            noted = True
             session.note(
                 f"{standing.tiles:,} tiles; with their surroundings each point is read {standing.times_read:.1f} times"
             )

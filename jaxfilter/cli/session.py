@@ -66,9 +66,8 @@ def stoppable() -> Iterator[None]:
     finally:
         for number, handler in old.items():
             signal.signal(number, handler)
-        atexit.register(
-            signal.signal, signal.SIGINT, signal.SIG_DFL
-        )  # what JAX does at the end of the process prints no traceback
+        if old:  # else Ctrl-C at the end of the process prints a traceback of what JAX does there
+            atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -153,15 +152,15 @@ class Session:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         try:
             self._clear()
-            told = self._told(error)
+            shown = self._as_shown(error)
             self._stack.close()
         finally:
             Session.running -= 1
-        if told is not None and told is not error:
-            raise told from error
+        if shown is not None and shown is not error:
+            raise shown from error
 
-    def _told(self, error: BaseException | None) -> BaseException | None:
-        """An error as the user is told of it; it is the last line of the log."""
+    def _as_shown(self, error: BaseException | None) -> BaseException | None:
+        """An error as it is shown to the user; it is the last line of the log."""
         if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
             error = KeyboardInterrupt(Session.stopped_by)  # finalisers and decoders had swallowed it
         if error is None:
@@ -262,7 +261,7 @@ class Session:
             click.echo("\r\x1b[2K", err=True, nl=False)
 
     def _next(self, step: str) -> None:
-        if Session.stopped_by is not None:  # see _told
+        if Session.stopped_by is not None:  # see _as_shown
             raise KeyboardInterrupt(Session.stopped_by)
         now = perf_counter()
         running, since = self._mark

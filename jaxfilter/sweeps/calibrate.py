@@ -18,7 +18,7 @@ from ..core.filter import Filter, alike
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
-from .best import word
+from .best import SCORE_NAMES, word
 from .design import MAX_SETS, make_design
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
@@ -63,7 +63,7 @@ class Calibration:
     searched: tuple[str, ...]
 
     def __repr__(self) -> str:
-        name = "total error" if self.trials.attrs["score"] == "total" else "kappa"
+        name = SCORE_NAMES[self.trials.attrs["score"]]
         changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
         return (
             f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
