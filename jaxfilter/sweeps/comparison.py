@@ -144,7 +144,7 @@ class Comparison:
         """
         columns, rows, best = self._laid_out(score)
         for row, wins in zip(rows, best, strict=True):
-            row.update({name: f"**{row[name]}**" for name in wins})
+            row.update({key: f"**{printed(row[key], spec)}**" for key, _, spec in columns if key in wins})
         return markdown(columns, rows)
 
     def latex(self, score: str | None = None) -> str:
@@ -174,7 +174,7 @@ class Comparison:
         sizes = _size(wide, score)
         best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
         wins = sizes.map(lambda value: format(value, spec)).eq(best) & wide.notna()
-        rows = [{"method": one} | {name: printed(v, spec) for name, v in line.items()} for one, line in wide.iterrows()]
+        rows = [{"method": one} | line.to_dict() for one, line in wide.iterrows()]
         columns = [("method", "method", ""), *((str(name), str(name), spec) for name in wide.columns)]
         return columns, rows, [list(wide.columns[line]) for line in wins.values]
 
