@@ -298,12 +298,9 @@ def test_the_time_left_follows_the_mean_rate_of_this_run(monkeypatch):
         now[0] = 100.0
         session.progress(0.5, "sets")  # half was done before, in another run
         assert session.standing(0.5).startswith("50 %, ") and "left" not in session.standing(0.5)
-        now[0] = 110.0
-        session.progress(0.7, "sets")
-        assert session.standing(0.7).startswith("70 %, 20.0 sets/s, 15 s left, ")
-        now[0] = 300.0
-        session.progress(0.9, "sets")
-        assert session.standing(0.9).startswith("90 %, 2.0 sets/s, 50 s left, ")
+        for now[0], share, shown in ((110.0, 0.7, "70 %, 20.0 sets/s, 15 s"), (300.0, 0.9, "90 %, 2.0 sets/s, 50 s")):
+            session.progress(share, "sets")
+            assert session.standing(share).startswith(f"{shown} left, ")
     with session.step("filter", 1_000_000):
         session.progress(0.0, "lowest")
         now[0] = 300.001

@@ -49,11 +49,9 @@ def report_text(report: dict[str, Any]) -> str:
     lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
     marked = report["overlap"]
     if kept := max(0, (report.get("of_ground_class") or 0) - ground + marked.get("kept", 0)):
-        be = ("is", "was") if kept == 1 else ("are", "were")
-        what = f"that {be[1]} not judged" if report["all_reset"] else f"that {be[0]} not ground"
-        words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
-        of_class = count(report["of_ground_class"], "point")
-        lines.append(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
+        which = "were not judged" if report["all_reset"] else "are not ground"
+        words = f"points that {which} keep class {report['ground_class']}: {kept:,}"
+        lines.append(f"{words}; in all {report['of_ground_class']:,} points have it")
     xy, z = report.get("metres_per_unit", (1.0, 1.0))
     if (xy, z) != (1.0, 1.0):
         lines.append(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")

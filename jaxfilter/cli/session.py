@@ -247,13 +247,13 @@ class Session:
 
     def in_flags(self, text: str) -> str:
         """A message of the library for users of the command: ``name=value`` is ``--name value`` and ``name=True`` is ``--name``,
-        where the command has such an option."""
+        where the command has such an option. Arguments in brackets and parts of paths stay."""
 
         def flag(found: re.Match[str]) -> str:
             name, value = found.groups()
             return f"{self._flags[name]} {value}".rstrip() if name in self._flags else found[0]
 
-        return re.sub(r"(?<![\w(])(\w+)=(?:True\b)?([^\s,;:.)]?)", flag, " ".join(text.split()))
+        return re.sub(r"(?<![\w(/?&])(\w+)=(?:True\b)?([^\s,;:.)]?)", flag, " ".join(text.split()))
 
     def _clear(self) -> None:
         """Take the line of progress away."""
