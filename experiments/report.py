@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from jaxfilter.sweeps.tables import Column, markdown
+from jaxfilter.sweeps.comparison import Column, markdown
 
 __all__ = [
     "Column", "Made", "Row", "cores", "machine", "made", "markdown", "read_csv", "save_png", "with_averages", "write_csv",

@@ -16,28 +16,27 @@ import numpy as np
 
 from .core.cloud import PointCloud
 from .core.errors import InputError
-from .core.inputs import class_numbers
+from .core.inputs import GROUND_CLASS, class_numbers
 from .core.reading import Reading
 from .files.reading import read
-from .scoring import GROUND, NEVER_CLASSIFIED
+from .scoring import NEVER_CLASSIFIED
 
-SUFFIXES = (".las", ".laz", ".txt", ".xyz", ".csv")
+CLOUD_SUFFIXES = (".las", ".laz", ".txt", ".xyz", ".csv")
 HOW_TO_GET = """\
-Data sets lie in the folder that JAXFILTER_DATA names, or in shared/data beside the checkout. The data of ISPRS Working Group
-III/3 (Sithole and Vosselman 2004, ISPRS J. Photogramm. Remote Sens. 59, 85-101; the ISPRS benchmark pages distribute them) are
-isprs/samp11.txt to samp71.txt there (columns x, y, z, label; 0 = ground) and isprs_sites/CSite1*.laz to FSite8*.laz. Other
-labelled files go into a folder of any name."""
+Data sets lie in the folder that JAXFILTER_DATA names. Those of ISPRS Working Group III/3 (Sithole and Vosselman 2004, ISPRS J.
+Photogramm. Remote Sens. 59, 85-101; the ISPRS benchmark pages distribute them) are isprs/samp11.txt to samp71.txt there (columns
+x, y, z, label; 0 = ground) and isprs_sites/CSite1*.laz to FSite8*.laz. Other labelled files go into a folder of any name."""
 
 
 def home(path: str | os.PathLike[str] | None = None) -> Path:
-    """The folder with the data sets: ``path``, else what JAXFILTER_DATA names, else ``shared/data`` beside the checkout.
+    """The folder with the data sets: ``path``, else what the environment variable JAXFILTER_DATA names.
 
     Raises: InputError that says what to put where.
 
     >>> str(jf.datasets.home("survey"))
     'survey'
     """
-    folder = Path(path or os.environ.get("JAXFILTER_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+    folder = Path(path or os.environ.get("JAXFILTER_DATA") or "JAXFILTER_DATA")
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder. {HOW_TO_GET}")
     return folder
@@ -58,20 +57,19 @@ def load(name: str, *, data: str | os.PathLike[str] | None = None, reading: Read
     """
     path = Path(name)
     if not path.is_file():
-        root = home(data)
-        path = next((p for p in (root / name, *(root / f"{name}{end}" for end in SUFFIXES)) if p.is_file()), path)
-    if not path.is_file():
-        inside = root / Path(name).parent
-        near = sorted(p.stem for p in inside.glob("*") if p.suffix.lower() in SUFFIXES)
-        there = f"{inside} has {', '.join(near[:20])}" if near else f"{inside} has no clouds"
-        raise InputError(f"there is no data set {name!r}: {there}. {HOW_TO_GET}")
+        folder = home(data) / path.parent
+        there = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix.lower() in CLOUD_SUFFIXES}
+        if path.name not in there:
+            names = ", ".join([*there][:20]) or "no clouds"
+            raise InputError(f"there is no data set {name!r}: {folder} has {names}. {HOW_TO_GET}")
+        path = there[path.name]
     return _read(path, reading)
 
 
 def folder(
     path: str | os.PathLike[str],
     *,
-    ground: Iterable[int] = (GROUND,),
+    ground: Iterable[int] = (GROUND_CLASS,),
     ignore: Iterable[int] = (7, 9, 12, 18),
     splits: Mapping[str, Iterable[str]] | None = None,
     reading: Reading = Reading(ignore_classes=(7, 18)),
@@ -96,23 +94,23 @@ def folder(
     (['scene', 'survey/east', 'survey/west'], True)
     """
     root = Path(path) if Path(path).is_dir() else home() / path
-    files = sorted(p for p in root.rglob("*") if p.suffix.lower() in SUFFIXES)
+    files: dict[str, Path] = {}
+    for file in sorted(p for p in root.rglob("*") if p.suffix.lower() in CLOUD_SUFFIXES):
+        name = file.relative_to(root).with_suffix("").as_posix()
+        if files.setdefault(name, file) != file:
+            raise InputError(f"{root}: two files are called {name}: give them different names")
     if not files:
-        raise InputError(f"{root} holds no file that ends with {', '.join(SUFFIXES)}. {HOW_TO_GET}")
-    names = [p.relative_to(root).with_suffix("").as_posix() for p in files]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise InputError(f"{root}: two files are called {min(twice)}: give them different names")
-    parts = splits or {name.split("/")[0]: [name.split("/")[0] + "/*"] for name in names if "/" in name}
-    found = {part: tuple(n for n in names if any(fnmatch.fnmatch(n, p) for p in some)) for part, some in parts.items()}
+        raise InputError(f"{root} holds no file that ends with {', '.join(CLOUD_SUFFIXES)}. {HOW_TO_GET}")
+    parts = splits or {name.split("/")[0]: [name.split("/")[0] + "/*"] for name in files if "/" in name}
+    found = {part: tuple(n for n in files if any(fnmatch.fnmatch(n, p) for p in some)) for part, some in parts.items()}
     for part, some in found.items():
         if not some:
-            raise InputError(f"splits: no file of {root} is in {part!r}; there are {', '.join(names[:20])}")
+            raise InputError(f"splits: no file of {root} is in {part!r}; there are {', '.join([*files][:20])}")
     classes = np.arange(256, dtype=np.uint8)
-    classes[GROUND] = 1  # an object, unless it is listed
-    classes[list(class_numbers(ground))] = GROUND
+    classes[GROUND_CLASS] = 1  # an object, unless it is listed
+    classes[list(class_numbers(ground))] = GROUND_CLASS
     classes[list(class_numbers(ignore))] = NEVER_CLASSIFIED
-    return Labelled(dict(zip(names, files, strict=True)), classes, found, reading)
+    return Labelled(files, classes, found, reading)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,7 +137,7 @@ class Labelled(Mapping[str, PointCloud]):
         if cloud.classification is None:
             return cloud
         classes = self.classes[cloud.classification]
-        return dataclasses.replace(cloud, classification=classes, reference=classes == GROUND)
+        return dataclasses.replace(cloud, classification=classes, reference=classes == GROUND_CLASS)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.paths)
@@ -159,5 +157,5 @@ class Labelled(Mapping[str, PointCloud]):
 
 
 def _read(path: Path, reading: Reading) -> PointCloud:
-    names = [field.name for field in dataclasses.fields(reading) if field.name not in ("aoi", "drop_duplicates")]
-    return read(path, **{name: getattr(reading, name) for name in names})
+    how = {name: value for name, value in vars(reading).items() if name not in ("aoi", "drop_duplicates")}
+    return read(path, **how)

@@ -12,13 +12,13 @@ import numpy as np
 from .core.cloud import QUANTUM, PointCloud
 from .core.compilation import bucket
 from .core.errors import InputError
-from .core.inputs import class_numbers, is_laspy
+from .core.inputs import GROUND_CLASS, class_numbers, is_laspy
 from .core.process import need_threads
 from .core.result import Decision, FilterResult
 from .metrics import confusion_counts
 
-NEVER_CLASSIFIED, GROUND = 0, 2
-"""ASPRS classes."""
+NEVER_CLASSIFIED = 0
+"""The ASPRS class of points that nobody has classified."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ def reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndar
         if reference.reference is None:
             raise InputError("reference: the cloud has no reference labels (a label column, or points of class 2)")
         truth, classes = reference.reference, reference.classification
-        if classes is not None and truth.any() and np.array_equal(truth, classes == GROUND):
+        if classes is not None and truth.any() and np.array_equal(truth, classes == GROUND_CLASS):
             return truth, classes != NEVER_CLASSIFIED
         return truth, np.ones(len(truth), bool)
     if reference is None:

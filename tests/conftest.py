@@ -16,6 +16,9 @@ import pytest
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(platformdirs.user_cache_dir("jaxfilter"), "numba")))
 """Tests that move JAXFILTER_CACHE, to see what JAX compiles, need not compile the host loops anew."""
 
+if (_SHARED := Path(__file__).parents[2] / "shared" / "data").is_dir():
+    os.environ.setdefault("JAXFILTER_DATA", str(_SHARED))
+
 
 def pytest_addoption(parser):
     parser.addoption("--filter-file", action="append", default=[], help="Python file with a filter to test like ours")

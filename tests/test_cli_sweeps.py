@@ -141,17 +141,8 @@ def test_values_that_are_none_or_words_are_stored_as_words(folder):
     assert found["low_clusters"].values.tolist() == [True, False]
     last = jf.SPF(fill="zero", low_clusters=False)(read(folder / "truth.laz", units="m"))
     assert found["ground"].values[1] == last.ground.sum()
-    facts(
-        "sweep",
-        "ost",
-        folder / "truth.laz",
-        folder / "out",
-        "--axis",
-        "spacing=none,2",
-        "--axis",
-        "rounds=0",
-        "--fresh",
-    )
+    axes = ("--axis", "spacing=none,2", "--axis", "rounds=0", "--fresh")
+    facts("sweep", "ost", folder / "truth.laz", folder / "out", *axes)
     assert stored(folder)["spacing"].values.tolist() == ["none", "2"]
 
 
@@ -254,7 +245,7 @@ def test_calibrate_prints_the_command_and_keeps_files(folder):
     options = ("--axis", "slope=0.1..0.4", "--score", "kappa", "--set", "window=10", "--out", folder / "a.json")
     result = calibrate(folder, *options)
     assert result.exit_code == 0, result.output
-    assert "SMRF: slope 0." in result.stdout and "kappa" in result.stdout and "24 sets" in result.stdout
+    assert "SMRF(slope=0." in result.stdout and "kappa" in result.stdout and "24 sets" in result.stdout
     command = next(line for line in result.stdout.splitlines() if line.startswith("jaxfilter ground smrf"))
     assert "--slope 0." in command and "--window 10.0" in command and "--threshold" not in command
     assert_one_line(calibrate(folder, *options), 2, "a.json exists", "--overwrite")
@@ -307,12 +298,9 @@ def test_the_time_left_follows_the_mean_rate_of_this_run(monkeypatch):
         now[0] = 100.0
         session.progress(0.5, "sets")  # half was done before, in another run
         assert session.standing(0.5).startswith("50 %, ") and "left" not in session.standing(0.5)
-        now[0] = 110.0
-        session.progress(0.7, "sets")
-        assert session.standing(0.7).startswith("70 %, 20.0 sets/s, 15 s left, ")
-        now[0] = 300.0
-        session.progress(0.9, "sets")
-        assert session.standing(0.9).startswith("90 %, 2.0 sets/s, 50 s left, ")
+        for now[0], share, shown in ((110.0, 0.7, "70 %, 20.0 sets/s, 15 s"), (300.0, 0.9, "90 %, 2.0 sets/s, 50 s")):
+            session.progress(share, "sets")
+            assert session.standing(share).startswith(f"{shown} left, ")
     with session.step("filter", 1_000_000):
         session.progress(0.0, "lowest")
         now[0] = 300.001

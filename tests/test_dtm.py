@@ -445,7 +445,7 @@ def test_the_command_writes_what_the_library_makes(files):
 
 @pytest.mark.parametrize("arguments, code, word", [
     (("scene.laz", "truth.tif"), 2, "--overwrite"),
-    (("scene.laz", "out.tif", "--cell", "0"), 2, "cell=0.0"),
+    (("scene.laz", "out.tif", "--cell", "0"), 2, "--cell 0.0"),
     (("scene.laz", "out.tif", "--method", "spline"), 2, "natural"),
     (("scene.laz", "out.tif"), 1, "--filter"),
     (("truth.laz", "out.tif", "--ground-class", "9"), 1, "no point is ground"),

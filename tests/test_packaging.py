@@ -26,8 +26,8 @@ CONDA = {"lazrs-python": "lazrs", "matplotlib-base": "matplotlib", "dask-core": 
 """Names of packages in conda-forge that are others on PyPI."""
 PARTS = {"lazrs", "distributed"}
 """What comes with an extra of another package: laspy[lazrs], dask[distributed]."""
-BY_FSSPEC = {"s3fs", "aiohttp"}
-"""What fsspec imports for s3:// and https://."""
+BY_OTHERS = {"s3fs", "aiohttp", "jinja2"}
+"""What fsspec imports for s3:// and https://, and pandas for LaTeX."""
 PUBLISHED = ("natural", "cluster", "remote")
 
 
@@ -86,7 +86,7 @@ def test_the_conda_recipe_is_rendered_by_its_builder():
 
 
 def test_dependencies_and_extras_are_used():
-    used = imported() | BY_FSSPEC
+    used = imported() | BY_OTHERS
     extras = PROJECT["optional-dependencies"]
     for text in [*PROJECT["dependencies"], *(text for name in PUBLISHED for text in extras[name])]:
         name = re.match(r"[\w.-]+", text)[0]

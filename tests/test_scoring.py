@@ -62,15 +62,12 @@ def test_figures_by_hand_and_of_large_counts():
     assert scores.kappa == pytest.approx(100 / 3, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "confusion, undefined",
-    [
-        ([[0, 0], [0, 0]], {"type1", "type2", "total", "kappa", "accuracy", "precision", "recall", "f1"}),
-        ([[5, 0], [0, 0]], {"type2", "kappa"}),
-        ([[0, 0], [0, 5]], {"type1", "kappa", "precision", "recall", "f1"}),
-        ([[0, 5], [0, 5]], {"precision"}),
-    ],
-)
+@pytest.mark.parametrize("confusion, undefined", [
+    ([[0, 0], [0, 0]], {"type1", "type2", "total", "kappa", "accuracy", "precision", "recall", "f1"}),
+    ([[5, 0], [0, 0]], {"type2", "kappa"}),
+    ([[0, 0], [0, 5]], {"type1", "kappa", "precision", "recall", "f1"}),
+    ([[0, 5], [0, 5]], {"precision"}),
+])  # fmt: skip
 def test_undefined_figures_are_nan(confusion, undefined):
     scores = Scores.from_confusion(confusion)
     figures = {k: v for k, v in scores.as_dict().items() if k != "confusion"}
@@ -124,22 +121,19 @@ def test_a_result_knows_which_points_were_set_aside():
     assert evaluate(result, cloud.reference, candidates_only=True).confusion.tolist() == [[2, 0], [2, 0]]
 
 
-@pytest.mark.parametrize(
-    "result, reference, options, message",
-    [
-        (np.ones(3, bool), None, {}, "reference is None"),
-        (np.ones(3), np.ones(3, bool), {}, "result must be"),
-        (np.ones((3, 1), bool), np.ones(3, bool), {}, "result must be"),
-        (np.ones(3, bool), np.ones(4, bool), {}, "4 labels for the 3 points"),
-        (np.ones(3, bool), np.ones(3), {}, "reference must be"),
-        (np.ones(3, bool), np.array([1, 0, 2]), {}, r"\[2\]"),
-        (np.ones(3, bool), np.ones(3, bool), {"ignore": np.ones(2, bool)}, "ignore must be"),
-        (np.ones(3, bool), np.ones(3, bool), {"ignore_classes": (9,)}, "ignore_classes needs classes"),
-        (np.ones(3, bool), np.ones(3, bool), {"ignore_classes": (9,), "classes": np.ones(2, int)}, "classes must be"),
-        (np.ones(3, bool), np.ones(3, bool), {"candidates_only": True}, "candidates_only needs"),
-        (np.ones(6, bool), dataclasses.replace(classified_cloud(), reference=None), {}, "no reference labels"),
-    ],
-)
+@pytest.mark.parametrize("result, reference, options, message", [
+    (np.ones(3, bool), None, {}, "reference is None"),
+    (np.ones(3), np.ones(3, bool), {}, "result must be"),
+    (np.ones((3, 1), bool), np.ones(3, bool), {}, "result must be"),
+    (np.ones(3, bool), np.ones(4, bool), {}, "4 labels for the 3 points"),
+    (np.ones(3, bool), np.ones(3), {}, "reference must be"),
+    (np.ones(3, bool), np.array([1, 0, 2]), {}, r"\[2\]"),
+    (np.ones(3, bool), np.ones(3, bool), {"ignore": np.ones(2, bool)}, "ignore must be"),
+    (np.ones(3, bool), np.ones(3, bool), {"ignore_classes": (9,)}, "ignore_classes needs classes"),
+    (np.ones(3, bool), np.ones(3, bool), {"ignore_classes": (9,), "classes": np.ones(2, int)}, "classes must be"),
+    (np.ones(3, bool), np.ones(3, bool), {"candidates_only": True}, "candidates_only needs"),
+    (np.ones(6, bool), dataclasses.replace(classified_cloud(), reference=None), {}, "no reference labels"),
+])  # fmt: skip
 def test_wrong_arguments_are_named(result, reference, options, message):
     with pytest.raises(InputError, match=message):
         evaluate(result, reference, **options)

@@ -13,8 +13,8 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
-from jaxfilter.core.compilation import in_turn, on_processor
-from jaxfilter.core.filter import ground_each, watched
+from jaxfilter.core.compilation import on_processor
+from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
@@ -25,22 +25,16 @@ from jaxfilter.engines.tin.growth import Vertices
 
 @pytest.fixture(scope="module")
 def cloud():
-    return labelled(scenes.make("mixed", size=90.0, density=1.5, seed=3))
+    return unclassified(scenes.make("mixed", size=90.0, density=1.5, seed=3))
 
 
 @pytest.fixture(scope="module")
 def hills():
-    return labelled(scenes.make("mountain", size=80.0, density=1.5, seed=5))
+    return unclassified(scenes.make("mountain", size=80.0, density=1.5, seed=5))
 
 
-def labelled(scene):
-    cloud = scene.cloud
-    return jf.PointCloud.from_arrays(
-        cloud.coordinates(),
-        return_number=cloud.return_number,
-        number_of_returns=cloud.number_of_returns,
-        reference=scene.truth,
-    )
+def unclassified(scene):
+    return dataclasses.replace(scene.cloud, classification=None)
 
 
 def labels_of(filter_, sets, cloud):
@@ -79,36 +73,33 @@ FPTD_AXES = {"max_angle": (4.0, 15.0, 30.0), "max_elevation": (0.4, 1.4)}
 SLOPES = np.random.default_rng(2).uniform(0.04, 0.5, 21).tolist()
 
 
-@pytest.mark.parametrize(
-    "sets",
-    [
-        case(jf.SMRF(), slope=(0.05, 0.15, 0.4), threshold=(0.2, 0.7), scaling=(0.0, 1.25)),
-        case(jf.SMRF(cut=20.0, window=12.0), slow=True, slope=SLOPES),
-        case(jf.PMF(max_window=30.0), **PMF_AXES),
-        case(jf.PMF(max_window=30.0, compare="points"), slow=True, **PMF_AXES),
-        case(jf.PMF(max_window=30.0, compare="points", reading="points"), **PMF_AXES),
-        case(jf.FPTD(window=30.0), **FPTD_AXES),
-        case(jf.FPTD(window=30.0, blocks="independent"), **FPTD_AXES),
-        case(jf.FPTD(window=30.0, vertex_spacing=1.5, noise_floor=0.1), **FPTD_AXES),
-        *(case(jf.FPTD(window=30.0, max_rounds=limit), **FPTD_AXES) for limit in (1, 2, 3)),
-        case(jf.PTD(seed_cell=30.0), **TIN_AXES),
-        case(jf.ATIN(seed_cell=30.0, mirror="nearest", border="corners"), **TIN_AXES),
-        case(jf.AGPTD(seed_cell=30.0), **TIN_AXES),
-        case(jf.PTDF(seed_cell=30.0), **TIN_AXES),
-        case(jf.SPF(window=30.0), **TIN_AXES),
-        case(jf.SPF(window=30.0), slow=True, seed_filter=(True, False), max_angle=(6.0, 20.0)),
-        case(jf.SPF(window=30.0), slope=(0.5, 0.3)),
-        case(
-            jf.SPF(window=30.0, histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
-            max_distance=(0.7, 1.4),
-        ),
-        case(jf.AGPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"), max_distance=(0.7, 1.4)),
-        case(jf.STIN(seed_cell=30.0), max_angle=(30.0, 18.0)),
-        case(jf.IPTD(window=30.0, max_distance=0.05), noise_floor=(0.0, 0.3), max_angle=(30.0, 1.0)),
-        case(jf.CSF(), threshold=(0.5, 0.3)),
-        case(jf.PPDF(), slow=True, buffer=(0.3, 0.2)),
-    ],
-)
+@pytest.mark.parametrize("sets", [
+    case(jf.SMRF(), slope=(0.05, 0.15, 0.4), threshold=(0.2, 0.7), scaling=(0.0, 1.25)),
+    case(jf.SMRF(cut=20.0, window=12.0), slow=True, slope=SLOPES),
+    case(jf.PMF(max_window=30.0), **PMF_AXES),
+    case(jf.PMF(max_window=30.0, compare="points"), slow=True, **PMF_AXES),
+    case(jf.PMF(max_window=30.0, compare="points", reading="points"), **PMF_AXES),
+    case(jf.FPTD(window=30.0), **FPTD_AXES),
+    case(jf.FPTD(window=30.0, blocks="independent"), **FPTD_AXES),
+    case(jf.FPTD(window=30.0, vertex_spacing=1.5, noise_floor=0.1), **FPTD_AXES),
+    *(case(jf.FPTD(window=30.0, max_rounds=limit), **FPTD_AXES) for limit in (1, 2, 3)),
+    case(jf.PTD(seed_cell=30.0), **TIN_AXES),
+    case(jf.ATIN(seed_cell=30.0, mirror="nearest", border="corners"), **TIN_AXES),
+    case(jf.AGPTD(seed_cell=30.0), **TIN_AXES),
+    case(jf.PTDF(seed_cell=30.0), **TIN_AXES),
+    case(jf.SPF(window=30.0), **TIN_AXES),
+    case(jf.SPF(window=30.0), slow=True, seed_filter=(True, False), max_angle=(6.0, 20.0)),
+    case(jf.SPF(window=30.0), slope=(0.5, 0.3)),
+    case(
+        jf.SPF(window=30.0, histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
+        max_distance=(0.7, 1.4),
+    ),
+    case(jf.AGPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"), max_distance=(0.7, 1.4)),
+    case(jf.STIN(seed_cell=30.0), max_angle=(30.0, 18.0)),
+    case(jf.IPTD(window=30.0, max_distance=0.05), noise_floor=(0.0, 0.3), max_angle=(30.0, 1.0)),
+    case(jf.CSF(), threshold=(0.5, 0.3)),
+    case(jf.PPDF(), slow=True, buffer=(0.3, 0.2)),
+])  # fmt: skip
 def test_sets_have_the_labels_of_single_runs(sets, hills):
     found = check_equal(sets, hills)
     assert len({ground.tobytes() for ground in found}) > (3 if len(sets) >= 6 else 1)
@@ -240,17 +231,6 @@ def test_a_sweep_of_ost_finds_out_once_what_no_swept_field_changes(hills, monkey
     assert len(found) == 3
 
 
-def test_threads_keep_the_device_of_their_caller():
-    device = jax.devices()[0]
-
-    def used(_):
-        return jax.config.values["jax_default_device"]
-
-    assert list(in_turn(used, [0], 1)) == [(0, None)]
-    with jax.default_device(device):
-        assert list(in_turn(used, [0, 1], 1)) == [(0, device), (1, device)]
-
-
 def test_kernels_of_the_triangulation_run_on_the_processor_unless_a_device_was_chosen(hills, monkeypatch):
     devices, tested = [], ground_tin.judge
 
@@ -311,27 +291,24 @@ def test_designs(cloud):
     assert float(listed.total[1]) == pytest.approx(jf.evaluate(jf.SMRF(slope=0.3, threshold=0.2)(cloud), cloud).total)
 
 
-@pytest.mark.parametrize(
-    ("axes", "options", "named"),
-    [
-        ({"slop": [0.1]}, {}, "no field 'slop'"),
-        ({}, {}, "at least one field"),
-        ({"slope": []}, {}, "slope is empty"),
-        ({"slope": [0.1, np.nan]}, {}, "slope=.*NaN"),
-        ({"slope": [0.1, -0.2]}, {}, r"SMRF\(slope=-0.2\): must be > 0"),
-        ({"slope": [0.1, 0.1]}, {}, "repeats"),
-        ({"slope": 0.1}, {}, "list of values"),
-        ({"slope": "0.1"}, {}, "list of values"),
-        ({"slope": [[0.1]]}, {}, "one dimension"),
-        ({"slope": [0.1], "window": [5000.0]}, {}, r"SMRF\(window=5000.0\)"),
-        ({"slope": [0.1, 0.2]}, {"design": "latin"}, "design='latin'"),
-        ({"slope": [0.1, 0.2]}, {"design": "sobol"}, "size=None"),
-        ({"slope": [0.1, 0.2]}, {"size": 8}, "size=8"),
-        ({"slope": (0.2, 0.1)}, {"design": "random", "size": 8}, "from low to high"),
-        ({"slope": (0.2, 0.2)}, {"design": "random", "size": 8}, "from low to high"),
-        ({"slope": [0.1, 0.2], "threshold": [0.5]}, {"design": "list"}, "as many values"),
-    ],
-)
+@pytest.mark.parametrize(("axes", "options", "named"), [
+    ({"slop": [0.1]}, {}, "no field 'slop'"),
+    ({}, {}, "at least one field"),
+    ({"slope": []}, {}, "slope is empty"),
+    ({"slope": [0.1, np.nan]}, {}, "slope=.*NaN"),
+    ({"slope": [0.1, -0.2]}, {}, r"SMRF\(slope=-0.2\): must be > 0"),
+    ({"slope": [0.1, 0.1]}, {}, "repeats"),
+    ({"slope": 0.1}, {}, "list of values"),
+    ({"slope": "0.1"}, {}, "list of values"),
+    ({"slope": [[0.1]]}, {}, "one dimension"),
+    ({"slope": [0.1], "window": [5000.0]}, {}, r"SMRF\(window=5000.0\)"),
+    ({"slope": [0.1, 0.2]}, {"design": "latin"}, "design='latin'"),
+    ({"slope": [0.1, 0.2]}, {"design": "sobol"}, "size=None"),
+    ({"slope": [0.1, 0.2]}, {"size": 8}, "size=8"),
+    ({"slope": (0.2, 0.1)}, {"design": "random", "size": 8}, "from low to high"),
+    ({"slope": (0.2, 0.2)}, {"design": "random", "size": 8}, "from low to high"),
+    ({"slope": [0.1, 0.2], "threshold": [0.5]}, {"design": "list"}, "as many values"),
+])  # fmt: skip
 def test_bad_axes_are_named_before_anything_runs(axes, options, named, cloud, monkeypatch):
     monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", None)
     with pytest.raises(jf.ParameterError, match=named):
@@ -569,14 +546,6 @@ def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills
 def test_a_batch_in_whose_cells_a_threshold_takes_part_is_refused(user, hills):
     with pytest.raises(jf.ParameterError, match="the cells of Mine depend on 'threshold': declare it as static"):
         jf.batch([hills], user)
-
-
-@pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])
-def test_no_limit_of_the_growth_decides_where_it_starts(method, hills):
-    one, read = watched(method())
-    one.start(canonical_points(hills), 1, lambda share, step: None)
-    limits = {"max_angle", "max_elevation", "max_distance", "stop_ratio"}
-    assert not read & limits and limits & {field.name for field in dataclasses.fields(method)}
 
 
 def test_a_checkpoint_does_not_outlive_an_edit_of_the_filter(cloud, tmp_path, monkeypatch):

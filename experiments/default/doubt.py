@@ -22,7 +22,7 @@ from experiments.defaults import clouds
 from experiments.isprs.samples import data_folder
 from experiments.report import write_csv, write_page
 from jaxfilter.steps import doubt, doubt_model
-from jaxfilter.sweeps import tables
+from jaxfilter.sweeps.comparison import markdown
 
 HERE = Path(__file__).parent
 DENSITIES = (0.3, 4.0)
@@ -235,8 +235,8 @@ def main() -> None:
         ("what", "clouds", ""), ("points", "points", ",d"), ("errors", "errors %", ".2f"), ("doubt", "mean doubt %", ".2f"),
         ("ece", "ECE", ".3f"), ("found", "errors in the most doubtful 10 % of points, %", ".1f"),
     ]  # fmt: skip
-    table = tables.markdown(columns, rows)
-    detail = tables.markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
+    table = markdown(columns, rows)
+    detail = markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
     command = "python -m experiments.default.doubt" + " --write" * arguments.write
     write_page(results / "doubt.md", f"# What doubts are worth\n\n{table}\n\n{detail}", command, ("ost", "scenes"))
     picture(tests, results / "doubt.png")

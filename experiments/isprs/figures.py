@@ -56,7 +56,7 @@ def error_panel(
     handles = [
         Patch(color=colour, label=label)
         for colour, label in (
-            (plots.OBJECT, "object, found"),
+            (plots.OBJECT_COLOUR, "object, found"),
             (plots.TYPE_1, "Type I: ground lost"),
             (plots.TYPE_2, "Type II: object accepted"),
         )
@@ -83,7 +83,7 @@ class _Picture:
         picture = self.base.copy()
         pixels = picture.reshape(-1, 3)
         found = np.unique(self.cell[~ground & ~self.truth])
-        pixels[found] = 0.45 * pixels[found] + 0.55 * np.array(to_rgb(plots.OBJECT))
+        pixels[found] = 0.45 * pixels[found] + 0.55 * np.array(to_rgb(plots.OBJECT_COLOUR))
         pixels[self.cell[ground & ~self.truth]] = to_rgb(plots.TYPE_2)
         pixels[self.cell[~ground & self.truth]] = to_rgb(plots.TYPE_1)
         return picture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import jaxfilter as jf
 from experiments.report import Row, read_csv
 
 HERE = Path(__file__).parent
+os.environ.setdefault("JAXFILTER_DATA", str(HERE.parents[2] / "shared" / "data"))
 SAMPLES = ("11", "12", "21", "22", "23", "24", "31", "41", "42", "51", "52", "53", "54", "61", "71")
 SITES = ("CSite1", "CSite2", "CSite3", "CSite4", "FSite5", "FSite6", "FSite7", "FSite8")
 

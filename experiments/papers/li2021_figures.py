@@ -144,7 +144,7 @@ def sample(name: str, cloud: jf.PointCloud, results: dict[str, jf.FilterResult],
 
 def _reference(ax: Any, cloud: jf.PointCloud, surface: Any, title: str) -> None:
     plots.error_map(cloud, cloud.reference, cloud.reference, surface=surface, ax=ax, title=title)
-    ax.scatter([], [], s=14, marker="s", c=plots.OBJECT, label="objects, over the reference ground")
+    ax.scatter([], [], s=14, marker="s", c=plots.OBJECT_COLOUR, label="objects, over the reference ground")
     _legend(ax)
 
 

@@ -735,7 +735,7 @@ def canopy_profiles(steps: Mapping[str, Stages]) -> Any:
             )
             for label, chosen, colour, size in (
                 ("set aside", ~s.under & ~s.truth, "0.75", 2), ("kept, object", s.under & ~s.truth, plots.TYPE_2, 3),
-                ("kept, reference ground", s.under & s.truth, plots.GROUND, 3),
+                ("kept, reference ground", s.under & s.truth, plots.GROUND_COLOUR, 3),
                 ("set aside, reference ground", ~s.under & s.truth, plots.TYPE_1, 14),
             ):  # fmt: skip
                 ax.scatter(*s.xyz[near & chosen][:, [0, 2]].T, s=size, c=colour, linewidths=0, label=label)
@@ -790,7 +790,7 @@ def seed_maps(steps: Mapping[str, Stages]) -> Any:
         for ax, name, chosen in zip(row, ("lowest of 10-m cells", "planes"), (s.lowest, s.seed), strict=True):
             plots.hillshade((z, raster), ax=ax, title=f"{site}: {name}")
             for of, colour, label in (
-                (s.truth, plots.GROUND, "seed on reference ground"),
+                (s.truth, plots.GROUND_COLOUR, "seed on reference ground"),
                 (~s.truth, plots.TYPE_2, "on an object"),
             ):
                 size = 14 if name != "planes" else 1.5
@@ -812,7 +812,7 @@ def reference_maps(tiles: Mapping[str, jf.PointCloud], found: Mapping[tuple[str,
         quadrants, nearest = (found[site, case, "recommended"] for case in ("both", "first contribution only"))
         plots.hillshade(plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz), ax=ax, title=site)
         for chosen, colour, size, label in (
-            (quadrants & nearest, plots.OBJECT, 0.15, "ground found by both"),
+            (quadrants & nearest, plots.OBJECT_COLOUR, 0.15, "ground found by both"),
             (quadrants & ~nearest, plots.TYPE_2, 3, "with quadrants only"),
             (nearest & ~quadrants, plots.TYPE_1, 3, "with the nearest only"),
         ):

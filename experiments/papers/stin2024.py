@@ -402,7 +402,7 @@ def histograms(clouds: Mapping[str, jf.PointCloud], tested: Mapping[str, tuple[n
         limits = (given.max_distance, 12.0, "distance (m)"), (given.max_angle, 90.0, "angle (degrees)")
         for ax, values, (limit, most, title) in zip(column, tested[name], limits, strict=True):
             parts = [values[cloud.reference], values[~cloud.reference]]
-            ax.hist(parts, np.linspace(0, most, 49), stacked=True, color=(plots.GROUND, plots.TYPE_2),
+            ax.hist(parts, np.linspace(0, most, 49), stacked=True, color=(plots.GROUND_COLOUR, plots.TYPE_2),
                     label=("reference ground", "reference object"))  # fmt: skip
             ax.axvline(limit, color="black", linestyle="--", linewidth=1.0, label="Table 2")
             ax.text(limit, 0.97, f" {limit:g}", transform=ax.get_xaxis_transform(), fontsize=7, va="top")
@@ -437,7 +437,7 @@ def lowered_limits(sample: str, cloud: jf.PointCloud) -> Figure:
     for column, cell, pair in zip(axes.T, cells, seen, strict=True):
         column[0].set_title(f"cells of {cell:g} m\n{len(pair[0]):,} ground points", fontsize=8)
         for ax, values, (limit, most, title) in zip(column, pair, limits, strict=True):
-            ax.hist(values, np.linspace(0, most, 49), color=plots.GROUND)
+            ax.hist(values, np.linspace(0, most, 49), color=plots.GROUND_COLOUR)
             ax.axvline(limit, color="0.4", linestyle="--", linewidth=1.0)
             found = float(np.quantile(values, QUANTILE))
             ax.axvline(found, color="tab:red", linewidth=1.0)

@@ -26,7 +26,7 @@ from experiments.report import Row, read_csv, save_png, write_csv, write_page
 from experiments.scenes import clouds, page
 from experiments.scenes.measures import MEASURES
 from jaxfilter.core.compilation import keep_compilations
-from jaxfilter.plots.maps import GROUND, new_figure
+from jaxfilter.plots.maps import GROUND_COLOUR, new_figure
 
 HERE = Path(__file__).parent
 PICTURES = HERE.parents[1] / "docs" / "static"
@@ -101,7 +101,7 @@ def draw(site: clouds.Site, result: jf.FilterResult, share: float, path: Path) -
     xy = site.cloud.xyz[:, :2]
     (left, south), (right, north) = xy.min(axis=0), xy.max(axis=0)
     y, some = south + share * (north - south), slice(None, None, max(1, len(xy) // 60_000))
-    plan.scatter(*xy[some].T, s=0.3, c=np.where(result.ground, GROUND, "0.7")[some])
+    plan.scatter(*xy[some].T, s=0.3, c=np.where(result.ground, GROUND_COLOUR, "0.7")[some])
     plan.axhline(y, color="k", lw=0.5)
     plan.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     width = 2.0 if right - left > 200 else 0.5

@@ -12,7 +12,6 @@ where it is used, so that help stays quick.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,22 +20,19 @@ import click
 
 from ..core.process import collect_seldom
 from ..core.version import __version__
-from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
-from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
+from .options import BREAKLINES, BY_DATA, READING, RUN_OPTIONS, WRITTEN, check_shapes, open_files, take, take_classes
+from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, tell
 from .session import Session, logger, stoppable
 from .values import CLASS, INPUT, OUTPUT, on_command_line, option
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
-    from ..scoring import Scores
     from ..surveys.measures import Recipe
 
 REVIEW = option("--review", "Also write the places where the terrain may be wrong, as .gpkg or .geojson.", OUTPUT)
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
-    "--resolution": "the side of a method's cells is --cell, as in jaxfilter ground smrf "
-    "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
     "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
     "classify": "that is jaxfilter ground IN OUT",
     "filter": "that is jaxfilter ground IN OUT",
@@ -56,9 +52,8 @@ class Program(click.Group):
             except click.NoSuchOption as error:
                 if error.option_name not in _INSTEAD:
                     raise
-                raise click.UsageError(
-                    f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}.", error.ctx
-                ) from error
+                words = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
+                raise click.UsageError(words, error.ctx) from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -154,7 +149,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
         REVIEW,
         BREAKLINES,
-        *RUN,
+        *RUN_OPTIONS,
         *SESSION,
     ]
     if method is not None:
@@ -232,17 +227,7 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
     ignored = ~cloud.candidate[match] if options["candidates_only"] else None
     scores = score(result[match], truth, classes=classes, ignore_classes=options["ignore_classes"], ignore=ignored)
     facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}
-    return Answer(facts, _scores_text(scores), always=True)
-
-
-def _scores_text(scores: Scores) -> str:
-    values = scores.as_dict()
-    counts, words = values.pop("confusion"), {"type1": "Type I (ground lost)", "type2": "Type II (objects accepted)"}
-    rows = [(words.get(name, name), "undefined" if math.isnan(one) else f"{one:.2f}") for name, one in values.items()]
-    names = ("reference ground", "reference object")
-    table = [(name, *(f"{v:,}" for v in row)) for name, row in zip(names, counts, strict=True)]
-    heading = ("points", "labelled ground", "labelled object")
-    return f"{table_text(('score', 'percent'), rows, left=1)}\n{table_text(heading, table, left=1)}"
+    return Answer(facts, str(scores), always=True)
 
 
 @main.command(params=[option("--json as_json", "Print JSON.", bool)])

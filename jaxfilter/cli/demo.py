@@ -19,16 +19,11 @@ if TYPE_CHECKING:
 
     from ..scenes import Scene
 
-DEMO_FILES = (
-    "scene.laz",
-    "scene_truth.laz",
-    "scene_ground.laz",
-    "before.png",
-    "truth.png",
-    "result.png",
-    "errors.png",
-    "panel.png",
+CLOUDS, PICTURES = (
+    ("scene.laz", "scene_truth.laz", "scene_ground.laz"),
+    ("before", "truth", "result", "errors", "panel"),
 )
+DEMO_FILES = (*CLOUDS, *(f"{name}.png" for name in PICTURES))
 
 
 @command(
@@ -85,10 +80,9 @@ def _write_scene(directory: Path, scene: Scene) -> None:
 
     directory.mkdir(parents=True, exist_ok=True)
     nothing = np.zeros(len(scene), bool)
-    cloud = dataclasses.replace(scene.cloud, crs="EPSG:25832")
-    write(directory / "scene.laz", cloud, nothing, reset="none", overwrite=True)
-    classified = dataclasses.replace(cloud, classification=scene.classes)
-    write(directory / "scene_truth.laz", classified, nothing, reset="none", overwrite=True)
+    for name, classes in (("scene.laz", scene.cloud.classification), ("scene_truth.laz", scene.classes)):
+        cloud = dataclasses.replace(scene.cloud, crs="EPSG:25832", classification=classes)
+        write(directory / name, cloud, nothing, reset="none", overwrite=True)
 
 
 def _draw(directory: Path, scene: Scene, ground: np.ndarray) -> None:
@@ -98,13 +92,13 @@ def _draw(directory: Path, scene: Scene, ground: np.ndarray) -> None:
     cloud, truth = scene.cloud, scene.truth
     terrain = scene.terrain_grid(1.0)
     found = plots.rasterise(cloud.xyz[ground], terrain[1].cell, over=cloud.xyz)
-    pictures = {
-        "before.png": plots.hillshade(plots.maps.top_of(cloud, terrain[1].cell), title="all points, before").figure,
-        "truth.png": plots.hillshade(terrain, title="true terrain").figure,
-        "result.png": plots.hillshade(found, title="filtered ground").figure,
-        "errors.png": plots.error_map(cloud, ground, truth, surface=terrain, title="errors").figure,
-        "panel.png": plots.panel(cloud, ground, truth),
-    }
-    for name, figure in pictures.items():
-        with new_file(directory / name, overwrite=True) as part:
+    figures = (
+        plots.hillshade(plots.maps.top_of(cloud, terrain[1].cell), title="all points, before").figure,
+        plots.hillshade(terrain, title="true terrain").figure,
+        plots.hillshade(found, title="filtered ground").figure,
+        plots.error_map(cloud, ground, truth, surface=terrain, title="errors").figure,
+        plots.panel(cloud, ground, truth),
+    )
+    for name, figure in zip(PICTURES, figures, strict=True):
+        with new_file(directory / f"{name}.png", overwrite=True) as part:
             figure.savefig(part, format="png")

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..methods import FILTERS
@@ -65,22 +64,14 @@ def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamTyp
 
 
 def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
-    """A value of a field from its text, not yet held against its limits. Raises ParameterError naming the ``option``."""
+    """A value of a field from its text, not yet held against its limits. Raises BadUsage naming the ``option``."""
     known = fields(method)
     if name not in known:
-        raise ParameterError(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
+        raise BadUsage(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
     try:
         return _kind(method, known[name]).convert(text, None, None)
     except click.UsageError as error:
-        raise ParameterError(f"{option} {name}={text}: {error.message}") from error
-
-
-def words_for(name: str, value: Any) -> list[str]:
-    """The words that set a field on the command line."""
-    flag = _flag(name)
-    if isinstance(value, bool):
-        return [flag if value else f"--no-{flag[2:]}"]
-    return [flag, "none" if value is None else str(value)]
+        raise BadUsage(f"{option} {name}={text}: {error.message}") from error
 
 
 def changed(filter_: Filter, base: Filter) -> dict[str, Any]:
@@ -91,5 +82,11 @@ def changed(filter_: Filter, base: Filter) -> dict[str, Any]:
 
 def command_for(filter_: Filter, names: Sequence[str], base: Filter) -> list[str]:
     """The words of a command that runs a filter over files, after those that make ``base`` of it."""
-    words = (word for name, value in changed(filter_, base).items() for word in words_for(name, value))
-    return ["jaxfilter", "ground", type(filter_).__name__.lower(), *names, *words]
+    words = ["jaxfilter", "ground", type(filter_).__name__.lower(), *names]
+    for name, value in changed(filter_, base).items():
+        flag = _flag(name)
+        if isinstance(value, bool):
+            words.append(flag if value else f"--no-{flag[2:]}")
+        else:
+            words += [flag, "none" if value is None else str(value)]
+    return words

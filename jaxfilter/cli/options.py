@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -22,11 +21,12 @@ if TYPE_CHECKING:
     from ..surveys.options import RunOptions
 
 T = TypeVar("T")
-UNITS = option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT")
-CRS = option(
-    "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
-)
-STATED = [UNITS, CRS]
+STATED_OPTIONS = [
+    option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"),
+    option(
+        "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
+    ),
+]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
 AOI = option(
     "--aoi",
@@ -38,8 +38,9 @@ DUPLICATES = option(
     "Write an echo that several LAS files hold, such as tiles with a buffer, into the first of them only.",
     bool,
 )
+DROP_INVALID = option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool)
 READING = [
-    *STATED,
+    *STATED_OPTIONS,
     BOUNDS,
     AOI,
     option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
@@ -54,7 +55,7 @@ READING = [
     ),
     option("--ignore-overlap", "Points of class 12 or with the overlap flag are not judged either.", bool),
     option("--keep-withheld", "Judge points with the withheld flag as well.", bool),
-    option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool),
+    DROP_INVALID,
     DUPLICATES,
 ]
 """Fields of Reading."""
@@ -86,10 +87,10 @@ WRITTEN = [
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
 PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
 FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
-WIDTH = option(
+LARGEST_BUILDING = option(
     "--largest-building", "Width of the largest building; sets what depends on it, as --for-cloud does.", METRES
 )
-BY_DATA = [FOR_CLOUD, WIDTH]
+BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
 BREAKLINES = option(
     "--breaklines", "Also write the outlines of water bodies, with their level, as .gpkg or .geojson.", OUTPUT
@@ -98,9 +99,9 @@ FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 _OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
-GROUND = [*FILTER, CLASSES, *STATED, AOI]
+GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI, DROP_INVALID]
 """What is ground."""
-RUN = [
+RUN_OPTIONS = [
     option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
     option(
         "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
@@ -118,7 +119,7 @@ RUN = [
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
 MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
-SWEPT = [FIELDS, PRESET, WIDTH, *STATED, MEMORY, THREADS]
+SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED_OPTIONS, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)
 
@@ -144,13 +145,13 @@ def take_run(options: dict[str, Any], session: Session) -> RunOptions:
     from ..surveys.options import RunOptions
     from ..surveys.report import Standing
 
-    told = False
+    noted = False
 
     def show(standing: Standing) -> None:
-        nonlocal told
+        nonlocal noted
         many = standing.tiles > 1
-        if many and not told:
-            told = True
+        if many and not noted:
+            noted = True
             session.note(
                 f"{standing.tiles:,} tiles; with their surroundings each point is read {standing.times_read:.1f} times"
             )
@@ -219,15 +220,10 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
 
 def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
     """As :func:`check_target`, for files of shapes of a run that may go on."""
-    named = list(filter(None, targets))
-    if not named:
-        return
-    from ..files.vectors import SUFFIXES
+    for target in filter(None, targets):
+        from ..files.vectors import SUFFIXES
 
-    for target in named:
         check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
-    if len({os.path.realpath(target) for target in named}) < len(named):
-        raise BadUsage(f"{named[0]}: one file cannot hold both places and breaklines: name two")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -49,11 +49,9 @@ def report_text(report: dict[str, Any]) -> str:
     lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
     marked = report["overlap"]
     if kept := max(0, (report.get("of_ground_class") or 0) - ground + marked.get("kept", 0)):
-        be = ("is", "was") if kept == 1 else ("are", "were")
-        what = f"that {be[1]} not judged" if report["all_reset"] else f"that {be[0]} not ground"
-        words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
-        of_class = count(report["of_ground_class"], "point")
-        lines.append(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
+        which = "were not judged" if report["all_reset"] else "are not ground"
+        words = f"points that {which} keep class {report['ground_class']}: {kept:,}"
+        lines.append(f"{words}; in all {report['of_ground_class']:,} points have it")
     xy, z = report.get("metres_per_unit", (1.0, 1.0))
     if (xy, z) != (1.0, 1.0):
         lines.append(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
@@ -98,7 +96,7 @@ def tell(session: Session, report: RunReport) -> None:
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
     for remark, times in report.remarks.items():
-        session.warn_of(remark, times)
+        session.warn(remark, times)
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:
@@ -156,21 +154,10 @@ def table_text(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int 
 
 
 def json_text(value: Any) -> str:
-    """A value as JSON; see ``_plain`` for what JSON does not know."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    """Values that JSON knows: NumPy values become numbers and lists, NaN becomes null, the rest strings."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
-    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
+    """A value as JSON: NumPy values become numbers and lists, NaN becomes null, what else JSON does not know text."""
+    text = json.dumps(value, default=lambda one: one.tolist() if hasattr(one, "tolist") else str(one))
+    known = json.loads(text, parse_constant={"NaN": None, "Infinity": "inf", "-Infinity": "-inf"}.get)
+    return json.dumps(known, indent=2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,8 +195,8 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
     def run(as_json: bool, log: Path | None, **arguments: Any) -> None:
         how = {name: arguments.pop(name) for name in ("quiet", "debug", "progress_every")}
         names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
-        files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
-        if log is not None and os.path.realpath(log) in files:
+        files = [name for name in names if log is not None and isinstance(name, (str, Path))]
+        if log is not None and os.path.realpath(log) in map(os.path.realpath, files):
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
         with Session(log=log, **how) as session:
             answer = command(session, **arguments)

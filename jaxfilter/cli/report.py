@@ -9,7 +9,7 @@ import click
 
 from ..core.reading import Reading
 from .commands import command
-from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
+from .options import BOUNDS, FILTER, REPLACE, STATED_OPTIONS, THREADS, check_target, take, take_recipe
 from .output import Answer, times
 from .session import BadUsage, Session
 from .values import CLASS, COUNT, INPUT, OUTPUT, option
@@ -38,7 +38,7 @@ OWN = "own"
     ),
     option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
     option("--title", "Title of the page.  [default: the name of IN]"),
-    *(BOUNDS, *STATED, THREADS, REPLACE),
+    *(BOUNDS, *STATED_OPTIONS, THREADS, REPLACE),
 )
 def report(session: Session, source: Path, target: Path, reference: str | None, **options: Any) -> Answer:
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import logging
 import os
@@ -65,6 +66,8 @@ def stoppable() -> Iterator[None]:
     finally:
         for number, handler in old.items():
             signal.signal(number, handler)
+        if old:  # else Ctrl-C at the end of the process prints a traceback of what JAX does there
+            atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -99,23 +102,6 @@ def memory() -> float:
     return total
 
 
-def in_flags(text: str) -> str:
-    """A message of the library in the words of the running command: ``pass drop_invalid=True`` becomes
-    ``pass --drop-invalid``, and ``leave out crs=`` becomes ``leave out --crs``. Arguments that the command has no flag for stay,
-    and so do values that were given (``cell=0``)."""
-    context = click.get_current_context(silent=True) or Session.command  # threads have no context
-    options = {p.name: p for p in context.command.params if isinstance(p, click.Option)} if context else {}
-
-    def flag(found: re.Match[str]) -> str:
-        verb, name, value = found[1] or "", found[2], found[3]
-        if (option := options.get(name)) is None or (value and not verb):
-            return found[0]
-        return f"{verb}{option.opts[0]}" + (f" {value}" if value and not option.is_flag else "")
-
-    words = r"\b(pass |leave out |with )?(\w+)=([\w.]*+)(?!['\"\[({-])"
-    return re.sub(words, flag, " ".join(text.split()))
-
-
 class Session:
     """A context in which a command runs. Messages go to standard error, one line each, and with steps and times to the file
     ``log``. Errors of this package and of the system become one line and an exit code: 2 for parameters, and for all that is
@@ -123,8 +109,6 @@ class Session:
 
     running = 0
     """How many there are now."""
-    command: click.Context | None = None
-    """The command that runs."""
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
@@ -136,6 +120,9 @@ class Session:
         self.steps: dict[str, float] = {}
         self.warnings: list[str] = []
         self.pipe: Path | None = None
+        context = click.get_current_context(silent=True)
+        options = [p for p in context.command.params if isinstance(p, click.Option)] if context else []
+        self._flags = {option.name: option.opts[0] for option in options}
         self._terminal = sys.stderr.isatty() and not quiet
         self._every = _DRAWN_EVERY if self._terminal else progress_every
         self._working = False
@@ -151,41 +138,42 @@ class Session:
         process.share_heaps()
         compilation.watch_compilations()
         if self.log is not None:
-            self._stack.enter_context(_logged(self.log))
+            handler = self._stack.enter_context(contextlib.closing(_open_log(self.log)))
+            logger.addHandler(handler)
+            self._stack.callback(logger.removeHandler, handler)
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
-        warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
+        warnings.showwarning = lambda message, *_, **__: self.warn(str(message))
         compilation.keep_compilations()
         Session.running, Session.stopped_by = Session.running + 1, None
-        Session.command = click.get_current_context(silent=True)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         try:
             self._clear()
-            told = self._told(error)
+            shown = self._as_shown(error)
             self._stack.close()
         finally:
             Session.running -= 1
-        if told is not None and told is not error:
-            raise told from error
+        if shown is not None and shown is not error:
+            raise shown from error
 
-    def _told(self, error: BaseException | None) -> BaseException | None:
-        """An error as the user is told of it; it is the last line of the log."""
+    def _as_shown(self, error: BaseException | None) -> BaseException | None:
+        """An error as it is shown to the user; it is the last line of the log."""
         if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
             error = KeyboardInterrupt(Session.stopped_by)  # finalisers and decoders had swallowed it
         if error is None:
             logger.info(f"done in {perf_counter() - self._start:.2f} s")
         elif isinstance(error, KeyboardInterrupt):
-            error.__notes__ = [in_flags(note) for note in getattr(error, "__notes__", [])]
+            error.__notes__ = [self.in_flags(note) for note in getattr(error, "__notes__", [])]
             logger.error("stopped by a signal")
         elif isinstance(error, click.ClickException):
             logger.error(error.format_message())
         elif isinstance(error, JaxfilterError):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error if self.debug else None)
             usage = isinstance(error, ParameterError) or not self._working
-            return error if self.debug else (BadUsage if usage else click.ClickException)(in_flags(str(error)))
+            return error if self.debug else (BadUsage if usage else click.ClickException)(self.in_flags(str(error)))
         elif isinstance(error, Exception):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error)
             return error if self.debug else click.ClickException(" ".join(f"{type(error).__name__}: {error}".split()))
@@ -247,11 +235,25 @@ class Session:
             self._clear()
             click.echo(text, err=True)
 
-    def warn(self, text: str) -> None:
-        """A line of warning, in the words of the command."""
-        logger.warning(text := in_flags(text))
+    def warn(self, text: str, times: int = 1) -> None:
+        """A line of warning, in the words of the command, the first time that it comes; ``times``: how often it came at once."""
+        if (text := self.in_flags(text)) in self.warnings:
+            return
+        self.warnings.append(text)
+        text += f" ({times} times)" if times > 1 else ""
+        logger.warning(text)
         self._clear()
         click.echo(f"warning: {text}", err=True)
+
+    def in_flags(self, text: str) -> str:
+        """A message of the library for users of the command: ``name=value`` is ``--name value`` and ``name=True`` is ``--name``,
+        where the command has such an option. Arguments in brackets and parts of paths stay."""
+
+        def flag(found: re.Match[str]) -> str:
+            name, value = found.groups()
+            return f"{self._flags[name]} {value}".rstrip() if name in self._flags else found[0]
+
+        return re.sub(r"(?<![\w(/?&])(\w+)=(?:True\b)?([^\s,;:.)]?)", flag, " ".join(text.split()))
 
     def _clear(self) -> None:
         """Take the line of progress away."""
@@ -259,20 +261,13 @@ class Session:
             click.echo("\r\x1b[2K", err=True, nl=False)
 
     def _next(self, step: str) -> None:
-        if Session.stopped_by is not None:  # see _told
+        if Session.stopped_by is not None:  # see _as_shown
             raise KeyboardInterrupt(Session.stopped_by)
         now = perf_counter()
         running, since = self._mark
         if running:
             self.steps[running] = self.steps.get(running, 0.0) + now - since
         self._mark = (step, now)
-
-    def warn_of(self, message: str, times: int = 1) -> None:
-        """A line on a warning of the library that came so often, the first time that it comes."""
-        text = in_flags(message)
-        if text not in self.warnings:
-            self.warnings.append(text)
-            self.warn(text + (f" ({times} times)" if times > 1 else ""))
 
     def as_dict(self) -> dict[str, Any]:
         """Seconds by step of the command and of the filter, compilations, and warnings."""
@@ -302,9 +297,8 @@ class _LogFile(logging.FileHandler):
             super().close()
 
 
-@contextlib.contextmanager
-def _logged(path: Path) -> Iterator[None]:
-    """A block whose messages to the ``logger`` are appended to a file. Raises BadUsage if that cannot be, or it is no text."""
+def _open_log(path: Path) -> _LogFile:
+    """Appends what the ``logger`` gets to a file. Raises BadUsage if that cannot be, or it is no text."""
     try:
         if path.is_file():
             with path.open("rb") as file:
@@ -314,9 +308,4 @@ def _logged(path: Path) -> Iterator[None]:
     except OSError as error:
         raise BadUsage(f"--log {path}: cannot be written: {error.strerror}") from error
     handler.setFormatter(logging.Formatter("{asctime}.{msecs:03.0f} {levelname} {message}", "%Y-%m-%dT%H:%M:%S", "{"))
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.close()
+    return handler

@@ -10,9 +10,9 @@ import click
 
 from ..core.reading import Reading
 from .commands import command
-from .options import REPLACE, STATED, check_target, open_survey, take
+from .options import REPLACE, STATED_OPTIONS, check_target, open_survey, take
 from .output import Answer, count, table_text
-from .session import Session, in_flags
+from .session import Session
 from .values import OUTPUT, option
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 
 @command(
     click.Argument(["names"], metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True),
-    *STATED,
+    *STATED_OPTIONS,
     option("--vpc", "Write the survey as a virtual point cloud.", OUTPUT),
     option("--map picture", "Draw a map of the files as PNG, PDF or SVG.", OUTPUT),
     REPLACE,
@@ -72,7 +72,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, "\n".join([_survey_text(survey), *map(in_flags, findings.lines())]))
+    return Answer(facts, "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())]))
 
 
 def _plain(value: Any) -> str:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
+from ..sweeps.best import SCORES, axes_of, best_sets, word
 from .commands import command
 from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
-from .output import Answer, count, json_text, table_text, times
+from .output import Answer, count, json_text, times
 from .session import BadUsage, Session
 from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..surveys.measures import Recipe
 
-SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 _VALUES = "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from."
 _DESIGN = (
@@ -57,7 +57,6 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     """
     from ..core.errors import InputError
     from ..sweeps import sweep as sweeps
-    from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
     recipe, filter_, reading = _take_method(options)
@@ -140,7 +139,6 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     from ..files.reading import read
     from ..sweeps import calibrate as sweeps
     from ..sweeps import labels as labelling
-    from ..sweeps.best import word
     from ..sweeps.design import make_design
     from . import flags
 
@@ -167,14 +165,12 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     with session.step("calibrate", options["size"] * options["rounds"], "sets"):
         session.progress(0.0, "labels")
         found = sweeps.calibrate(filter_, cloud, labels, axes=ranges, progress=session.progress, **options)
-    method, best = type(filter_), found.filter
-    names = [str(source), "OUT", *stated]
-    truth, trials = {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())}, found.trials
+    method, best, trials = type(filter_), found.filter, found.trials
     facts = {
         "method": method.__name__,
         "input": str(source),
         "labels": str(labels_file or source),
-        "labelled": truth,
+        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
         "score": trials.attrs["score"],
         "cross_validated": found.score,
         "spread": found.spread,
@@ -184,18 +180,13 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
         "found": {name: getattr(best, name) for name in found.searched},
         "changed": flags.changed(best, method()),
         "parameters": dataclasses.asdict(best),  # type: ignore[call-overload]
-        "command": shlex.join(flags.command_for(best, names, method())),
+        "command": shlex.join(flags.command_for(best, [str(source), "OUT", *stated], method())),
         **session.as_dict(),
     }
     if out is not None:
         with new_file(out, overwrite=overwrite) as temporary:
             temporary.write_text(json_text(facts) + "\n")
-    text = (
-        f"{method.__name__}: {', '.join(f'{name} {word(value)}' for name, value in facts['found'].items())}\n"
-        f"{'total error' if facts['score'] == 'total' else 'kappa'} {found.score:.2f} +- {found.spread:.2f} %, "
-        f"cross-validated over {facts['folds']} folds of {truth['ground']:,} ground and {truth['object']:,} object points; "
-        f"{found.before:.2f} % before\n{facts['sets']:,} sets; {times(session.seconds)}\n{facts['command']}"
-    )
+    text = f"{found}\n{times(session.seconds)}\n{facts['command']}"
     return Answer(facts, text + (f"\nin {out}" if out is not None else ""))
 
 
@@ -223,11 +214,9 @@ def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] |
         if not drawn:
             raise BadUsage(f"{given}: a range needs --design random or sobol, and --size")
         low, _, high = text.partition("..")
-        if not (low and high):
-            raise BadUsage(f"{given}: write a range as LOW..HIGH")
-        ends = values((low, high))
-        if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
-            raise BadUsage(f"{given}: a range needs numbers; give words as a list")
+        ends = values((low, high)) if low and high else []
+        if not ends or any(isinstance(end, bool) or not isinstance(end, (int, float)) for end in ends):
+            raise BadUsage(f"{given}: write a range of numbers as LOW..HIGH, and words as a list")
         return ends[0], ends[1]
     if ":" not in text:
         return values(text.split(","))
@@ -259,7 +248,6 @@ def _write(
     """All files of a sweep; their names. Pictures of a sweep that was replaced, and links, are removed."""
     from .. import plots
     from ..files.disk import new_file
-    from ..sweeps.best import axes_of, word
 
     of_words = {  # values that are not all of one type, which NetCDF cannot hold
         name: (values.dims, [word(value) for value in values.values], values.attrs)
@@ -291,12 +279,8 @@ def _write(
 
 
 def _sets_text(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> str:
-    from ..sweeps.best import SCORES, axes_of, word
-
     names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
-    rows = [
-        (str(number), *(word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
-        for number, row in table.iterrows()
-    ]
+    shown = table[[*names, *SCORES]].reset_index().rename(columns=heads)
     title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
-    return f"{title}\n{table_text(('set', *names, *(heads.get(name, name) for name in SCORES)), rows)}"
+    text = shown.to_string(index=False, float_format="%.2f", formatters=dict.fromkeys(names, word))
+    return f"{title}\n{text}"

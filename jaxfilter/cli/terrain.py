@@ -15,10 +15,10 @@ from .options import (
     BREAKLINES,
     DUPLICATES,
     FILTER,
-    GROUND,
+    GROUND_OPTIONS,
     PRESET_OF_CLASSES,
     READING,
-    RUN,
+    RUN_OPTIONS,
     Files,
     check_shapes,
     open_files,
@@ -28,7 +28,7 @@ from .options import (
 )
 from .output import Answer, answer_of, count, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
-from .values import BOX, CLASS, METRES, NAMES, option
+from .values import BOX, CLASS, IN_OUT, METRES, option
 
 if TYPE_CHECKING:
     from ..surveys.model import TerrainReport
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 CELL = [
-    option("--cell --resolution cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
+    option("--cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
     option(
         "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
@@ -91,9 +91,9 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
     multiples of --cell, in the coordinate system and units of IN. If OUT is -, the file goes to standard output.
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
-    shared = (*GROUND, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN[:-1])
+    shared = (*GROUND_OPTIONS, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN_OPTIONS[:-1])
 
-    @command(NAMES, *CELL, *own, *shared, name=name, help=help)
+    @command(IN_OUT, *CELL, *own, *shared, name=name, help=help)
     def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
         from ..files.storage import place_of
         from ..surveys.model import make_rasters
@@ -131,7 +131,7 @@ def _cells(report: TerrainReport, side: str) -> str:
 
 
 @command(
-    NAMES,
+    IN_OUT,
     *FILTER,
     *READING,
     PRESET_OF_CLASSES,
@@ -139,7 +139,7 @@ def _cells(report: TerrainReport, side: str) -> str:
     option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
     *CELL,
     BREAKLINES,
-    *RUN[:-1],
+    *RUN_OPTIONS[:-1],
 )
 def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Classify a survey, and make all rasters and contour lines of it, each as one file in the folder OUT.
@@ -187,11 +187,11 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
 
 @command(
     click.Argument(["names"], metavar="IN... [OUT]", nargs=-1, required=True),
-    *GROUND,
+    *GROUND_OPTIONS,
     BOUNDS,
     DUPLICATES,
     option("--replace-z", "Write heights in place of Z instead of as an extra dimension.", bool),
-    *RUN,
+    *RUN_OPTIONS,
 )
 def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Write the height of every point above the ground, in the units of Z.

@@ -71,4 +71,4 @@ def on_command_line(names: Iterable[str]) -> dict[str, Any]:
     return {n: context.params[n] for n in names if context.get_parameter_source(n) == ParameterSource.COMMANDLINE}
 
 
-NAMES = click.Argument(["names"], metavar="IN... OUT", nargs=-1, required=True)
+IN_OUT = click.Argument(["names"], metavar="IN... OUT", nargs=-1, required=True)

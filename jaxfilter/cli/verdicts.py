@@ -9,18 +9,28 @@ import click
 
 from ..core.reading import Reading
 from .commands import command
-from .options import READING, RUN, STATED, check_inputs, check_target, open_files, open_survey, take, take_run
+from .options import (
+    READING,
+    RUN_OPTIONS,
+    STATED_OPTIONS,
+    check_inputs,
+    check_target,
+    open_files,
+    open_survey,
+    take,
+    take_run,
+)
 from .output import Answer, answer_of, count, run_facts, tell
 from .session import BadUsage, Session
-from .values import CLASS, INPUT, NAMES, option
+from .values import CLASS, IN_OUT, INPUT, option
 
-_RUN = [one for one in RUN if one.name in ("workers", "memory", "client", "work", "resume", "overwrite")]
+_RUN = [one for one in RUN_OPTIONS if one.name in ("workers", "memory", "client", "work", "resume", "overwrite")]
 
 
 @command(
-    NAMES,
+    IN_OUT,
     option("--classified classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
-    *STATED,
+    *STATED_OPTIONS,
     *_RUN,
 )
 def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], **options: Any) -> Answer:
@@ -84,7 +94,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     click.Argument(["names"], metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True),
     option("--checkpoints", "Check points as CSV: x, y, z, and if you like land_cover and vertical_datum.", INPUT),
     option("--classified ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
-    *STATED,
+    *STATED_OPTIONS,
     *_RUN,
 )
 def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None, **options: Any) -> Answer:

@@ -9,10 +9,10 @@ as in ``PointCloud.xyz``. The colours of errors are from Okabe and Ito's palette
 True
 """
 
-from .maps import GROUND as GROUND
-from .maps import MAX_PIXELS as MAX_PIXELS
-from .maps import OBJECT as OBJECT
-from .maps import REACH as REACH
+from .maps import GROUND_COLOUR as GROUND_COLOUR
+from .maps import OBJECT_COLOUR as OBJECT_COLOUR
+from .maps import PICTURE_CELLS as PICTURE_CELLS
+from .maps import PICTURE_REACH as PICTURE_REACH
 from .maps import TYPE_1 as TYPE_1
 from .maps import TYPE_2 as TYPE_2
 from .maps import doubt_map as doubt_map

@@ -14,16 +14,17 @@ from ..core.errors import InputError
 from ..core.grid import Grid, grid_over
 from ..core.result import FilterResult
 from ..scoring import reference_labels
+from ..terrain.layers import Hillshade
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"
 LOW = "#56B4E9"
-OBJECT = "#E8D9A0"
-GROUND = "#8C6D46"
-MAX_PIXELS = 600
+OBJECT_COLOUR = "#E8D9A0"
+GROUND_COLOUR = "#8C6D46"
+PICTURE_CELLS = 600
 LOW_ERROR = 1.0
 """Metres above the reference ground below which an object that was accepted is drawn apart: low plants, mostly."""
-REACH = 30.0
+PICTURE_REACH = 30.0
 """Metres: a picture's surface extends this far into places without points."""
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 7}
 """How all legends look."""
@@ -38,7 +39,7 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
         cell: metres; by default what gives about one point per cell and at most 600 cells along the longer side.
         over: points that the grid has to cover; by default ``xyz``.
 
-    Returns: z f32[ny, nx] in metres, NaN farther than :data:`REACH` from every point; and the grid.
+    Returns: z f32[ny, nx] in metres, NaN farther than :data:`PICTURE_REACH` from every point; and the grid.
     Raises: InputError if there are no points.
 
     >>> z, grid = jf.plots.rasterise(cloud.xyz[truth], cell=2.0)
@@ -49,12 +50,12 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
         raise InputError("rasterise: there are no points to draw")
     if cell is None:
         width, height = (max(float(v), QUANTUM) for v in np.ptp(xyz[:, :2], axis=0))
-        cell = max(math.sqrt(width * height / len(xyz)), max(width, height) / MAX_PIXELS)
+        cell = max(math.sqrt(width * height / len(xyz)), max(width, height) / PICTURE_CELLS)
     grid = grid_over(xyz if over is None else over, cell)
     lowest = np.full(grid.ny * grid.nx, np.inf, np.float32)
     np.minimum.at(lowest, grid.flat(xyz), xyz[:, 2])
     z = np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
-    far = scipy.ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > REACH
+    far = scipy.ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > PICTURE_REACH
     return np.where(far, np.nan, _fill(z)), grid
 
 
@@ -96,10 +97,8 @@ def map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
 
 
 def shade(z: np.ndarray, cell: float) -> np.ndarray:
-    """f32[ny, nx], 0 (dark) to 1: light from the north-west at 45 degrees; NaN where the surface is."""
-    dy, dx = (np.gradient(z, cell, axis=axis) if z.shape[axis] > 1 else np.zeros_like(z) for axis in range(2))
-    light = np.array([-0.5, 0.5, math.sqrt(0.5)])
-    return np.clip((light[2] - light[0] * dx - light[1] * dy) / np.sqrt(1.0 + dx**2 + dy**2), 0.0, 1.0)
+    """f32[ny, nx], 0 (dark) to 1: the light of :func:`jaxfilter.hillshade`, for heights whose row 0 is the southern edge."""
+    return Hillshade().shade(z[::-1], cell, 1.0)[::-1] / 255
 
 
 def _image(ax: Any, picture: np.ndarray, grid: Grid, **style: Any) -> Any:
@@ -188,9 +187,9 @@ def error_map(
     real = _valid(cloud) & counted
     objects = np.unique(grid.flat(cloud.xyz[~ground & ~truth & real]))
     pixels = picture.reshape(-1, 3)
-    pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT))
+    pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT_COLOUR))
     _image(ax, picture, grid)
-    handles = [Patch(color=OBJECT, label="objects found")]
+    handles = [Patch(color=OBJECT_COLOUR, label="objects found")]
     (lost, gone, ours), (_, wrong, theirs) = _errors(ground, truth)
     high = wrong & (cloud.xyz[:, 2] - z.ravel()[grid.flat(cloud.xyz)] >= LOW_ERROR)
     low = (f"Type II, less than {LOW_ERROR:g} m high", wrong & ~high, LOW)
@@ -268,7 +267,7 @@ def profile(
     near = (np.abs(offset @ np.array([-along[1], along[0]])) <= width / 2) & (s >= 0) & (s <= length) & _valid(cloud)
     ground = _labels(result)
     ax = axes_or_new(ax, (7.0, 2.6))
-    groups = [("non-ground", ~ground, "0.7", 2.0), ("ground", ground, GROUND, 2.0)]
+    groups = [("non-ground", ~ground, "0.7", 2.0), ("ground", ground, GROUND_COLOUR, 2.0)]
     if reference is not None:
         groups += [(*error, 7.0) for error in _errors(ground, reference)]
     for label, where, colour, size in groups:
@@ -378,10 +377,8 @@ def _labels(result: FilterResult | np.ndarray) -> np.ndarray:
 
 def _errors(ground: np.ndarray, reference: np.ndarray) -> list[tuple[str, np.ndarray, str]]:
     """Name, bool[n] and colour of both kinds of errors."""
-    return [
-        ("Type I, ground lost", reference & ~ground, TYPE_1),
-        ("Type II, object accepted", ground & ~reference, TYPE_2),
-    ]
+    lost, accepted = reference & ~ground, ground & ~reference
+    return [("Type I, ground lost", lost, TYPE_1), ("Type II, object accepted", accepted, TYPE_2)]
 
 
 def _valid(cloud: PointCloud) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError
 from ..core.grid import Grid
-from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score, word
+from ..sweeps.best import LARGER_IS_BETTER, SCORE_NAMES, axes_of, cost, is_grid, mean_score, word
 from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ SURE, EVEN = "#F0E442", "#7A0403"
 """Colours of points that nearly all sets agree on, and that half of the sets call ground."""
 SHOWN = 0.9
 """This share of scores, from the best, is within the frame and the range of colours; worse ones are cut off."""
-_NAMES = {"type1": "Type I error (%)", "type2": "Type II error (%)", "total": "total error (%)", "kappa": "kappa (%)"}
 _BINS, _PER_BIN = 12, 8
 _TICKS = 6
 _STAR: dict[str, Any] = {"marker": "*", "color": BEST, "markersize": 9, "linestyle": "none", "zorder": 4}
@@ -98,7 +97,7 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
     best = _best(every, score)
     ax.plot(place.x[rows[best]], every[best], label="best set", **_STAR)
     _label(ax.xaxis, dataset, axis, place)
-    ax.set_ylabel(_NAMES[score], fontsize=8)
+    ax.set_ylabel(f"{SCORE_NAMES[score]} (%)", fontsize=8)
     ax.tick_params(labelsize=7)
     ax.set_title(title, fontsize=10)
     low, high = _limits([every], score)
@@ -342,5 +341,5 @@ def _colour_bar(ax: Any, dataset: xarray.Dataset, score: str, panels: list[Any])
     extend = "min" if score in LARGER_IS_BETTER else "max"
     bar = ax.figure.colorbar(ax.collections[0], ax=panels, shrink=0.9, extend=extend)
     others = is_grid(dataset) and len(axes_of(dataset)) > 2
-    bar.set_label(_NAMES[score] + others * ", best over the other parameters", fontsize=8)
+    bar.set_label(f"{SCORE_NAMES[score]} (%)" + others * ", best over the other parameters", fontsize=8)
     bar.ax.tick_params(labelsize=7)

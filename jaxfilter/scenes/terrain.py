@@ -12,7 +12,7 @@ import numpy as np
 from .lattice import SPLINE_STD, Box, Layer, Nodes, Sheet, box_of, refine, smooth_noise, smoothstep, uniform
 from .layouts import SceneLayout
 
-MARGIN = 170.0
+OBJECT_MARGIN = 170.0
 """Metres around a patch that objects at its edge may need: the diagonal of a town quarter, a pit's radius."""
 PERIOD = 520.0
 """Metres across the course after which the linear features recur."""
@@ -64,8 +64,10 @@ class Terrain:
         self.aspect = rng.uniform(0, 2 * math.pi)
 
     def patch(self, box: Box) -> Patch:
-        """The terrain over a box and :data:`MARGIN` around it."""
-        return Patch(self, (box[0] - MARGIN, box[1] - MARGIN, box[2] + MARGIN, box[3] + MARGIN))
+        """The terrain over a box and :data:`OBJECT_MARGIN` around it."""
+        return Patch(
+            self, (box[0] - OBJECT_MARGIN, box[1] - OBJECT_MARGIN, box[2] + OBJECT_MARGIN, box[3] + OBJECT_MARGIN)
+        )
 
     def course(self, x: np.ndarray, y: np.ndarray) -> Course:
         """Course coordinates of points, f64[n] each."""

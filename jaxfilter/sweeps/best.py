@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-SCORES = ("type1", "type2", "total", "kappa")
+SCORE_NAMES = {"type1": "Type I error", "type2": "Type II error", "total": "total error", "kappa": "kappa"}
+SCORES = tuple(SCORE_NAMES)
 LARGER_IS_BETTER = ("kappa",)
 
 

@@ -7,7 +7,6 @@ import functools
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,8 @@ from ..core.filter import Filter, alike
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
-from .best import word
-from .design import MOST_SETS, make_design
+from .best import SCORE_NAMES, word
+from .design import MAX_SETS, make_design
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
@@ -28,7 +27,7 @@ from .sweep import Subject, SweepOptions, about
 if TYPE_CHECKING:
     import xarray
 
-SCORES = ("total", "kappa")
+DECIDING_SCORES = ("total", "kappa")
 """What is minimised, or maximised: the total error, or kappa, in percent."""
 _NEIGHBOURS = 8
 """Sets near a set whose scores count with its own when the best is chosen."""
@@ -63,11 +62,8 @@ class Calibration:
     trials: xarray.Dataset
     searched: tuple[str, ...]
 
-    def _repr_html_(self) -> str:
-        return f"<p>{escape(str(self))}</p>"
-
-    def __str__(self) -> str:
-        name = "total error" if self.trials.attrs["score"] == "total" else "kappa"
+    def __repr__(self) -> str:
+        name = SCORE_NAMES[self.trials.attrs["score"]]
         changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
         return (
             f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
@@ -140,7 +136,7 @@ class Study:
         labels: integers [n], 1 = ground, 0 = object, -1 = unlabelled; or bool[n], if all are known.
         axes: field name to (low, high), or to a :class:`Range`; by default those of
             :func:`jaxfilter.sweeps.ranges.search_ranges`.
-        score: one of :data:`SCORES`.
+        score: one of :data:`DECIDING_SCORES`.
         validation: how the labelled points are cut into folds.
         options: how sets are computed.
 
@@ -166,8 +162,8 @@ class Study:
         options: SweepOptions = SweepOptions(),
     ) -> None:
         filter_ = check_filter(filter_)
-        if score not in SCORES:
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
+        if score not in DECIDING_SCORES:
+            raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, DECIDING_SCORES))}")
         self.filter, self.score = filter_, score
         cloud = as_cloud(cloud)
         self.ranges = _ranges_of(filter_, axes)
@@ -404,7 +400,7 @@ def calibrate(
     >>> 0.2 <= found.filter.threshold <= 1.0, found.filter.slope
     (True, 0.15)
     """
-    check_whole(1, MOST_SETS, size=size, rounds=rounds)
+    check_whole(1, MAX_SETS, size=size, rounds=rounds)
     check_whole(0, seed=seed)
     options, validation = SweepOptions(key, workers, memory), CrossValidation(folds, block)
     cloud = as_cloud(cloud)

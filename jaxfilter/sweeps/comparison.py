@@ -25,11 +25,12 @@ from ..terrain.accuracy import FIGURES, dtm_rmse
 from ..terrain.interpolation import Interpolation
 from .best import LARGER_IS_BETTER, SCORES, cost
 from .sweep import check_reference, named_clouds
-from .tables import Column, Marked, Row, latex, markdown
 
 if TYPE_CHECKING:
     import pandas
 
+Column = tuple[str, str, str]
+"""Key in a row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
 _COLUMNS: tuple[Column, ...] = (
     ("method", "method", ""),
     ("cloud", "cloud", ""),
@@ -141,7 +142,10 @@ class Comparison:
         >>> compared.markdown().startswith("| method | cloud"), compared.markdown("total").startswith("| method | scene | mean |")
         (True, True)
         """
-        return markdown(*self._laid_out(score, "**{}**"))
+        columns, rows, best = self._laid_out(score)
+        for row, wins in zip(rows, best, strict=True):
+            row.update({key: f"**{printed(row[key], spec)}**" for key, _, spec in columns if key in wins})
+        return markdown(columns, rows)
 
     def latex(self, score: str | None = None) -> str:
         """The same as a LaTeX ``tabular``; needs the package booktabs.
@@ -149,39 +153,53 @@ class Comparison:
         >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        return latex(*self._laid_out(score, "\\textbf{{{}}}"))
+        import pandas
 
-    def _laid_out(self, score: str | None, bold: str) -> tuple[list[Column], list[Row]]:
-        """The table; of a score, methods by clouds, with the best of each column, as it is printed, in ``bold``."""
+        columns, rows, best = self._laid_out(score)
+        cells = [{title: printed(row.get(key), spec, "--") for key, title, spec in columns} for row in rows]
+        bold = [["textbf:--rwrap;" * (key in wins) for key, _, _ in columns] for wins in best]
+        style = pandas.DataFrame(cells).style.hide(axis="index").apply(lambda _: np.array(bold), axis=None)
+        style = style.format(escape="latex").format_index(escape="latex", axis=1)
+        return str(style.to_latex(hrules=True, column_format="".join("r" if spec else "l" for _, _, spec in columns)))
+
+    def _laid_out(self, score: str | None) -> tuple[list[Column], list[dict[str, Any]], list[list[str]]]:
+        """The table; of a score, methods by clouds. And for each row the columns in which it is best, as it is printed."""
+        rows: list[dict[str, Any]]
         if score is None:
-            return self._columns(), self.table.to_dict("records")  # type: ignore[return-value]
+            rows = self.table.to_dict("records")  # type: ignore[assignment]
+            return self._columns(), rows, [[] for _ in rows]
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
         spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
         sizes = _size(wide, score)
         best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
-
-        def shown(name: str, value: float) -> Any:
-            if math.isnan(value):
-                return value
-            text, wins = format(value, spec), format(_size(value, score), spec) == best[name]
-            return Marked(bold.format(text)) if wins else text
-
-        rows = [{"method": one} | {name: shown(name, v) for name, v in line.items()} for one, line in wide.iterrows()]
-        return [("method", "method", ""), *((name, name, spec) for name in wide.columns)], rows  # type: ignore[return-value]
+        wins = sizes.map(lambda value: format(value, spec)).eq(best) & wide.notna()
+        rows = [{"method": one} | line.to_dict() for one, line in wide.iterrows()]
+        columns = [("method", "method", ""), *((str(name), str(name), spec) for name in wide.columns)]
+        return columns, rows, [list(wide.columns[line]) for line in wins.values]
 
     def _columns(self) -> list[Column]:
         """Scores only where there are any."""
         return [one for one in _COLUMNS if one[0] not in _OPTIONAL or self.table[one[0]].notna().any()]
 
-    def __str__(self) -> str:
-        return self._shown().to_string(index=False, float_format="%.3f")
+    def __repr__(self) -> str:
+        return self.table[[key for key, _, _ in self._columns()]].to_string(index=False, float_format="%.3f")
 
-    def _repr_html_(self) -> str:
-        return self._shown().to_html(index=False, float_format="%.3f")
 
-    def _shown(self) -> pandas.DataFrame:
-        return self.table[[key for key, _, _ in self._columns()]]
+def markdown(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> str:
+    """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right."""
+    titles, rule = [title for _, title, _ in columns], ["---:" if spec else "---" for _, _, spec in columns]
+    lines = [[printed(row.get(key), spec) for key, _, spec in columns] for row in rows]
+    texts = ([text.replace("|", r"\|") for text in line] for line in (titles, *lines))
+    heading, *body = (f"| {' | '.join(line)} |" for line in texts)
+    return "\n".join([heading, f"|{'|'.join(rule)}|", *body])
+
+
+def printed(value: Any, spec: str, absent: str = "–") -> str:
+    """A value as it is printed."""
+    if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
+        return absent
+    return value if isinstance(value, str) else format(value, spec)
 
 
 def _size(values: Any, score: str) -> Any:
@@ -312,12 +330,12 @@ def least_p(clouds: int) -> float:
 
 def holm(p: Sequence[float]) -> list[float]:
     """p-values of several tests corrected by Holm's step-down procedure (Scand. J. Stat. 6, 65-70, 1979); NaN stays."""
-    known = sorted((value, i) for i, value in enumerate(p) if not math.isnan(value))
-    out, largest = [math.nan] * len(p), 0.0
-    for rank, (value, i) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * value))
-        out[i] = largest
-    return out
+    given = np.asarray(p, np.float64)
+    order = np.argsort(given)  # NaN last
+    steps = np.count_nonzero(~np.isnan(given)) - np.arange(len(given))
+    out = np.empty(len(given))
+    out[order] = np.minimum(np.maximum.accumulate(steps * given[order]), 1.0)
+    return out.tolist()
 
 
 def _row(

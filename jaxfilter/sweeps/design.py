@@ -15,7 +15,7 @@ from ..core.filter import Filter, alike
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
 
-MOST_SETS = 1_000_000
+MAX_SETS = 1_000_000
 DESIGNS = ("grid", "random", "sobol", "list")
 """All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""
 
@@ -57,13 +57,13 @@ def make_design(
     check_whole(0, seed=seed)
     fields = fields_of(filter_, axes)
     if drawn:
-        check_whole(1, MOST_SETS, size=size)
+        check_whole(1, MAX_SETS, size=size)
         columns = _drawn(filter_, fields, axes, design, int(size or 0), seed)
     else:
         columns = {name: _values(name, values) for name, values in axes.items()}
     if design == "grid":
-        if (count := math.prod(map(len, columns.values()))) > MOST_SETS:
-            raise ParameterError(f"axes: {count:,} sets, more than {MOST_SETS:,}: pass fewer values, or design='sobol'")
+        if (count := math.prod(map(len, columns.values()))) > MAX_SETS:
+            raise ParameterError(f"axes: {count:,} sets, more than {MAX_SETS:,}: pass fewer values, or design='sobol'")
         for name, values in columns.items():
             if len(set(map(repr, values))) < len(values):
                 raise ParameterError(f"axes: {name}={values!r} repeats a value")

@@ -20,7 +20,7 @@ COMPONENTS = 12
 """Principal components of the calls that are used."""
 CONFIDENCE = 1.5
 """Logit of the probability that a call of the given filter is right, where calls depend on the parameters."""
-BLOCK = 10.0
+LABEL_BLOCK = 10.0
 """Side of the squares, in point spacings, in which all labels together count as one: neighbours share their fate."""
 LEARNT = 256
 """Sets whose calls say what kind of point a point is, the first of all."""
@@ -64,7 +64,7 @@ class Sample:
         with_label, without = order[known[order]], order[~known[order]]
         chosen, rest = _evenly(with_label, LABELLED), _evenly(without, UNLABELLED)
         place = np.searchsorted(np.flatnonzero(known), chosen)
-        cell = np.floor(xyz[chosen, :2].astype(np.float64) / (BLOCK * spacing)).astype(np.int64)
+        cell = np.floor(xyz[chosen, :2].astype(np.float64) / (LABEL_BLOCK * spacing)).astype(np.int64)
         block = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
         return cls(np.concatenate([chosen, rest]), truth[place], fold[place], block, len(without))
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..core.cloud import PointCloud
+from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError
 from ..engines.neighbours import nearest, tree_of
 from ..files.disk import Bounds
-from ..scoring import GROUND, NEVER_CLASSIFIED
+from ..scoring import NEVER_CLASSIFIED
 
 SAME = 0.01
 """Metres: points of two files that are so near to each other are one point (text is often rounded to centimetres)."""
@@ -26,10 +26,10 @@ def point_labels(cloud: PointCloud, unlabelled: Iterable[int] = (NEVER_CLASSIFIE
     classes, truth = cloud.classification, cloud.reference
     if classes is None and truth is None:
         raise InputError(f"{name} has neither classes nor labels: give labels in a file of their own")
-    if truth is None or (classes is not None and np.array_equal(truth, classes == GROUND)):
+    if truth is None or (classes is not None and np.array_equal(truth, classes == GROUND_CLASS)):
         assert classes is not None
         known = ~np.isin(classes, tuple(unlabelled))
-        return np.where(known, classes == GROUND, UNLABELLED).astype(np.int8)
+        return np.where(known, classes == GROUND_CLASS, UNLABELLED).astype(np.int8)
     return truth.astype(np.int8)
 
 

@@ -11,21 +11,21 @@ from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared, is_number
 
-SCALES = ("linear", "log", "whole")
+RANGE_SCALES = ("linear", "log", "whole")
 """Drawn evenly, evenly in the logarithm, or from the whole numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Where a quantity is searched for: from ``low`` to ``high``, on one of :data:`SCALES`."""
+    """Where a quantity is searched for: from ``low`` to ``high``, on one of :data:`RANGE_SCALES`."""
 
     low: float
     high: float
     scale: str = "linear"
 
     def __post_init__(self) -> None:
-        if self.scale not in SCALES:
-            raise ParameterError(f"Range(scale={self.scale!r}): choose one of {', '.join(map(repr, SCALES))}")
+        if self.scale not in RANGE_SCALES:
+            raise ParameterError(f"Range(scale={self.scale!r}): choose one of {', '.join(map(repr, RANGE_SCALES))}")
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ParameterError(f"Range({self.low!r}, {self.high!r}): the range must go from low to high")
         if self.scale == "log" and self.low <= 0:

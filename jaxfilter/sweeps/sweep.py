@@ -22,7 +22,7 @@ from ..core.result import Progress, silent
 from ..core.version import __version__
 from ..files.disk import existing, new_file
 from ..scoring import Scores, reference_labels
-from .best import SCORES
+from .best import SCORE_NAMES, SCORES
 from .design import Design, make_design
 from .ranges import check_filter
 
@@ -295,7 +295,7 @@ def _dataset(
                 of_set = Scores.from_confusion(state.confusion[c, s])
                 scores[:, c, s] = [getattr(of_set, name) for name in SCORES]
     variables: dict[str, Any] = {
-        name: (*laid_out(scores[i]), {"long_name": _LONG[name], "units": "%"}) for i, name in enumerate(SCORES)
+        name: (*laid_out(scores[i]), {"long_name": SCORE_NAMES[name], "units": "%"}) for i, name in enumerate(SCORES)
     }
     variables["ground"] = (*laid_out(state.ground), {"long_name": "ground points"})
     if state.votes is not None:
@@ -325,6 +325,3 @@ def about(field: dataclasses.Field[Any]) -> dict[str, str]:
     """Attributes of a coordinate: what the field is, and its unit."""
     unit = field.metadata["unit"]
     return {"long_name": field.metadata["doc"]} | ({"units": unit} if unit else {})
-
-
-_LONG = {"type1": "Type I error", "type2": "Type II error", "total": "total error", "kappa": "kappa"}

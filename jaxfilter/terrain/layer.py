@@ -16,7 +16,7 @@ from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
 from .interpolation import Heights, Interpolation
 from .levels import WaterRuns, levels_of
-from .raster import NODATA, SUFFIXES, Raster, RasterGrid
+from .raster import NODATA, RASTER_SUFFIXES, Raster, RasterGrid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Layer:
     TITLE: ClassVar[str] = ""
     KIND: ClassVar[str] = "float32"
     NODATA: ClassVar[float] = NODATA
-    SUFFIXES: ClassVar[tuple[str, ...]] = SUFFIXES
+    SUFFIXES: ClassVar[tuple[str, ...]] = RASTER_SUFFIXES
     SURFACE: ClassVar[bool] = True
 
     def reach(self, side: float) -> float:

@@ -27,9 +27,9 @@ WATER = 9
 """ASPRS class of water."""
 BED = 40
 """ASPRS class of the bed of waters, measured through them. Where it is named as ground, the terrain is the bed, and not level."""
-REACH = 18.0
+WATER_REACH = 18.0
 """Metres from a point of water up to which water may be where nothing was returned."""
-LEAST = 100.0
+LEAST_WATER = 100.0
 """Square metres of a body."""
 FALL = 0.1
 """Metres between the two ends of a body, from which on it falls."""
@@ -40,7 +40,7 @@ _WIDE, _MOST = 1 << 32, 100_000_000
 
 
 def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterCells | None:
-    """The water of points of class 9: cells whose nearest point of ground or water, within :data:`REACH`, is water, without
+    """The water of points of class 9: cells whose nearest point of ground or water, within :data:`WATER_REACH`, is water, without
     those that reach further out than the water does. ``ground``: bool[n]; ``side``: of cells, metres. Warns: of stray points."""
     if cloud.classification is None:
         return None
@@ -50,7 +50,7 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     if not wet.any():
         return None
 
-    lag, pad = (cloud.origin[:2] - cloud.anchor) * cloud.units.xy / side, 2 * math.ceil(REACH / side) + 2
+    lag, pad = (cloud.origin[:2] - cloud.anchor) * cloud.units.xy / side, 2 * math.ceil(WATER_REACH / side) + 2
     place = np.floor(cloud.xyz[:, 1::-1].astype(np.float64) / side + lag[::-1] + 0.5).astype(np.int64)
     low, high = place[wet].min(axis=0) - pad, place[wet].max(axis=0) + pad + 1
     shape = tuple((high - low).tolist())
@@ -70,9 +70,9 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     known = count > 0
     known.reshape(-1)[cells(ground & ~wet)] = True
     away, nearest = scipy.ndimage.distance_transform_edt(~known, return_indices=True)
-    within = scipy.ndimage.distance_transform_edt(count == 0) * side <= REACH
-    within = scipy.ndimage.distance_transform_edt(within) * side > REACH
-    row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= REACH))
+    within = scipy.ndimage.distance_transform_edt(count == 0) * side <= WATER_REACH
+    within = scipy.ndimage.distance_transform_edt(within) * side > WATER_REACH
+    row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= WATER_REACH))
     source = tuple(one[row, column] for one in nearest)
     wet_cells = np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32)
     return WaterCells(side, wet_cells, cloud.origin[2] * cloud.units.z + z[source])
@@ -134,7 +134,7 @@ class WaterRuns:
         lower = np.repeat(np.arange(len(run)), number)
         upper = np.arange(len(lower)) + np.repeat(above[0] - np.cumsum(number) + number, number)
         body = groups(np.append(beside, lower), np.append(beside + 1, upper), len(run))
-        large = np.bincount(body, run[:, 2] - run[:, 1]) * side**2 >= LEAST
+        large = np.bincount(body, run[:, 2] - run[:, 1]) * side**2 >= LEAST_WATER
         kept = large[body]
         if not kept.any():
             return None

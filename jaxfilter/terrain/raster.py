@@ -20,7 +20,7 @@ from ..files.storage import Place, Remote, place_of
 if TYPE_CHECKING:
     import xarray
 
-SUFFIXES = (".tif", ".tiff")
+RASTER_SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
 _BLOCK, STRIP = 256, 512
 """Rows and columns of the blocks of a file, and rows that are read of it at a time."""
@@ -129,7 +129,7 @@ class Raster:
         """
         import rasterio
 
-        path = check_suffix(place_of(path), SUFFIXES)
+        path = check_suffix(place_of(path), RASTER_SUFFIXES)
         profile = _profile(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
         profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
