@@ -43,6 +43,28 @@ def test_means_of_the_published_tables_are_those_that_their_papers_print():
     assert statistics.fmean(row["kappa_fixed"] for row in pingel) == pytest.approx(85.4, abs=0.05)
 
 
+def test_averages_that_a_paper_prints_are_those_of_its_rows():
+    for name, columns in (("chen2023_table2", "type1 type2 total"), ("zheng2024_table6", "type1 type2 total kappa")):
+        table = samples.published(name)
+        for printed in (row for row in table if row["sample"] == "average"):
+            rows = [row for row in table if row["method"] == printed["method"] and row["sample"].startswith("samp")]
+            assert len(rows) == 15
+            for key in columns.split():
+                assert statistics.fmean(row[key] for row in rows) == pytest.approx(printed[key], abs=0.011)
+
+
+def test_stin_errors_are_worked_out_from_the_printed_counts():
+    counts = {(row["sample"], row["row"]): row for row in samples.published("uray2024_table3")}
+    for row in samples.published("uray2024_from_counts"):
+        if row["sample"] == "average":
+            continue
+        as_ground, as_object = (counts[row["sample"], f"classified_{kind}"] for kind in ("ground", "object"))
+        lost, accepted = as_object["ground"], as_ground["object"]
+        ground, objects = as_ground["ground"] + lost, accepted + as_object["object"]
+        found = 100 * lost / ground, 100 * accepted / objects, 100 * (lost + accepted) / (ground + objects)
+        assert found == pytest.approx((row["type1"], row["type2"], row["total"]), abs=0.006)
+
+
 @pytest.mark.parametrize("name", ["li2021_table4", "chen2023_table2"])
 def test_published_errors_agree_with_the_numbers_of_ground_and_object_points(name):
     counts = {row["sample"]: row for row in samples.published("sithole2004_samples")}
@@ -105,6 +127,13 @@ def test_leave_one_out_never_looks_at_the_sample_it_scores(rng):
         outside = {s: v if terrain[s] == terrain[sample] else random_kappa(rng)[s] for s, v in kappa.items()}
         assert protocols.class_choice(outside, terrain)[sample] == chosen[sample]
     assert protocols.class_choice({"samp53": {0: 1.0, 1: 2.0}}, terrain) == {"samp53": 0}  # alone in its class
+
+
+def test_the_oracle_is_never_below_the_class_protocol_or_the_fixed_set(rng):
+    kappa = random_kappa(rng)
+    oracle, by_class = protocols.oracle_choice(kappa), protocols.class_choice(kappa, samples.terrain_classes())
+    for sample, sets in kappa.items():
+        assert sets[oracle[sample]] >= max(sets[by_class[sample]], sets[0])
 
 
 def test_a_set_that_failed_is_never_chosen():
