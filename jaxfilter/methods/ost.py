@@ -40,7 +40,7 @@ from ..steps.voids import filled_by, sunk
 from ..steps.water import AFLOAT, SURFACE, waters
 from .papers import bibtex
 
-PASSES = 2
+SLOPE_PASSES = 2
 """How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
 FIRST_SLOPE = 0.15
 """That fixed slope, rise over run."""
@@ -48,19 +48,19 @@ LOW_DEPTH = 2.0
 """Few points around a low point are less than so many metres above it, or lower."""
 LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
-RIM = 4.0
+VOID_RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 EDGE = 3
 """Cells along the edge of the data in which a surface is known only where there are points, when decks are looked for."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
-STEEPEST = 80.0
+STEEPEST_ANGLE = 80.0
 """Degrees that the largest angle counts as at most where points lie outside the hull of the ground."""
 TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
-SHEET = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
+SHEET_TOLERANCE = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
 """The tolerance in terms of the thickness of the sheet: the lowest of 100 points lies 2.5 below its middle, the highest above.
 Errors of photographs are mostly shared by neighbours."""
 THINNEST = 0.03
@@ -223,7 +223,7 @@ class OST(Filter):
         voids of photographs and of scans from a car are no water at which roofs end."""
         kind, thickness, sparse = Sensed.of(points)
         own = super().from_points(points, largest_building) | {"sensor": kind}
-        sheet = max(SHEET[kind] * thickness, THINNEST)
+        sheet = max(SHEET_TOLERANCE[kind] * thickness, THINNEST)
         if kind in (MATCHING, MOBILE):
             own["void"] = NO_VOID
         if kind in (MATCHING, DRONE):
@@ -326,7 +326,7 @@ class OST(Filter):
         height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
         tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
         angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
-        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST_ANGLE))))
         relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
         distance = np.float32(self.max_distance * height) + relief * around
         out = np.float32(OUT * spacing) + np.float32(self.scaling * spacing) * around
@@ -351,7 +351,7 @@ class OST(Filter):
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
         z, inside = filled_by(
-            triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest
+            triangulated(points.xyz[lowest], workers), cells, math.ceil(VOID_RIM / self.cell - 1e-6), longest
         )
         progress(0.2, "openings")
         return Openings(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
@@ -443,7 +443,7 @@ class OST(Filter):
         inner = slice(0, rows), slice(0, columns)
         objects, bare = np.zeros(z.shape, bool), np.zeros((rows, columns), bool)
         banked = np.zeros_like(bare)
-        for number in range(PASSES):
+        for number in range(SLOPE_PASSES):
             if number > 0:
                 landscape = Landscape.of(z, cells, objects, float(self.landscape))
             around = np.asarray(landscape.in_cells())

@@ -11,7 +11,7 @@ from ..engines.tin.triangulation import Tin
 
 VEIL = 2.0
 """Points that are no ground for each vertex, above which the ground is veiled."""
-AROUND = 3
+EDGES_AROUND = 3
 """Edges from a vertex to the farthest of those around it."""
 PASSES = 3
 """Times that vertices are judged where plants hide the ground: beside high plants those that are less high do not stick out."""
@@ -63,7 +63,8 @@ class Scatter(NamedTuple):
 
 def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndarray:
     """f32[m]: metres by which vertices stick out more than those beside them, and more than ``least``, f32[m], metres, where
-    more than :data:`VEIL` points for each vertex at most :data:`AROUND` edges away are no ground. Elsewhere zero or less."""
+    there are more than :data:`VEIL` points that are no ground for each vertex at most :data:`EDGES_AROUND` edges away. Elsewhere
+    zero or less."""
     from ..engines.tin.rings import surroundings  # imports Numba
 
     tin, over = ground.tin, scatter.residual - np.maximum(least, scatter.roughness)
@@ -74,7 +75,7 @@ def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndar
     tin.locate(others)
     above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(over)).astype(np.float32)
     means = np.empty(len(nodes), np.float32)
-    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, above, means)
+    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, EDGES_AROUND, above, means)
     over[nodes[means <= VEIL]] = 0
     return over
 
