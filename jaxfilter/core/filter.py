@@ -246,13 +246,13 @@ def stage(method: _Method) -> _Method:
     def call(self: Filter, points: Points, *args: Any) -> Any:
         if points.kept is None:
             return method(self, points, *args)
-        read, values, made = points.kept.get(method.__qualname__, (set(), None, None))
+        read, values, result = points.kept.get(method.__qualname__, (set(), None, None))
         if values != values_of([self], read):
             one, read = watched(self)
-            made = method(one, points, *args)
-            points.kept[method.__qualname__] = read, values_of([self], read), made
+            result = method(one, points, *args)
+            points.kept[method.__qualname__] = read, values_of([self], read), result
         _own(self).get("_read", set()).update(read)  # whoever watches the caller is to know
-        return made
+        return result
 
     return call  # type: ignore[return-value]
 

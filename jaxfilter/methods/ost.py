@@ -34,9 +34,9 @@ from ..steps.outliers import low_clusters, lowest_few, pits, scattered
 from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
 from ..steps.seeds import rising, veiled
-from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
+from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
-from ..steps.voids import filled_by, sunk
+from ..steps.voids import fill_from_triangulation, lower_voids
 from ..steps.water import AFLOAT, SURFACE, waters
 from .papers import bibtex
 
@@ -221,7 +221,7 @@ class OST(Filter):
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
         """As by the spacing, and the sensor. Where it is not airborne lidar, tolerances follow the thickness of its sheet, and
         voids of photographs and of scans from a car are no water at which roofs end."""
-        kind, thickness, sparse = Sensed.of(points)
+        kind, thickness, sparse = SensorFacts.from_points(points)
         own = super().from_points(points, largest_building) | {"sensor": kind}
         sheet = max(SHEET_TOLERANCE[kind] * thickness, THINNEST)
         if kind in (MATCHING, MOBILE):
@@ -245,7 +245,7 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
-        crowd, every = Crowd.of(points), points
+        crowd, every = Crowd.from_points(points), points
         points = points if crowd is None else crowd.points
         scene = self.scene(points, spacing, workers, progress)
         objects, drop, bare, landscape = self.objects(scene)
@@ -283,16 +283,16 @@ class OST(Filter):
             ground.change(limits.then._replace(distance=distance))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
-            scatter = Scatter.of(ground.tin)
+            scatter = Scatter.from_vertices(ground.tin)
             whole = points.cloud.whole
-            spread = scatter.of_scene(ground.tin) if whole is None or whole.scatter is None else whole.scatter
+            spread = scatter.deviation(ground.tin) if whole is None or whole.scatter is None else whole.scatter
             scene_limit, local_limit = float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
             if self.sensor != AIRBORNE:
                 scene_limit = max(scene_limit, height)
             pruned = prune(ground, scatter, scene_limit, local_limit, np.where(plants, limits.out, np.float32(np.inf)))
             if points.kept is None:  # a sweep asks for no more than what is ground
                 ground.finish(ground.todo)
-                scatter = scatter.of_all(ground)
+                scatter = scatter.at_all_points(ground)
             labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
             if crowd is not None:
                 labels, seeds, own = crowd.labels(ground, low, LOW_DEPTH), crowd.rows[seeds], crowd.own
@@ -350,7 +350,7 @@ class OST(Filter):
             cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
-        z, inside = filled_by(
+        z, inside = fill_from_triangulation(
             triangulated(points.xyz[lowest], workers), cells, math.ceil(VOID_RIM / self.cell - 1e-6), longest
         )
         progress(0.2, "openings")
@@ -367,7 +367,7 @@ class OST(Filter):
         edge = ~scipy.ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
         near = fill_nearest(scene.cells.lowest, scene.cells.seen, scene.cells.valid)
         z = np.where(edge & ~segments.seen, np.asarray(near)[inner], segments.z)
-        z = sunk(z, segments.seen | ~inside, self.cell, spacing)
+        z = lower_voids(z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)
         others = objects[inner] & np.isnan(deck[inner])
@@ -432,7 +432,7 @@ class OST(Filter):
         surface, seen = (np.ascontiguousarray(np.asarray(a)[:rows, :columns]) for a in (z, cells.seen))
         segments = Segments(surface, inside, seen, self.cell, roofs, (2 * self.window) ** 2)
         objects = steepest > np.float32(FIRST_SLOPE * self.cell)
-        return steepest, segments, Landscape.of(z, cells, objects, float(self.landscape))
+        return steepest, segments, Landscape.from_elevations(z, cells, objects, float(self.landscape))
 
     def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
@@ -445,7 +445,7 @@ class OST(Filter):
         banked = np.zeros_like(bare)
         for number in range(SLOPE_PASSES):
             if number > 0:
-                landscape = Landscape.of(z, cells, objects, float(self.landscape))
+                landscape = Landscape.from_elevations(z, cells, objects, float(self.landscape))
             around = np.asarray(landscape.in_cells())
             limit = np.float32(self.relief) * around
             limit += np.float32(self.slope)
@@ -515,7 +515,7 @@ class Crossings(NamedTuple):
         if np.isnan(self.level).all():
             return None
         x, y, side = (float(v) for v in cells.frame)
-        return WaterCells.of(cloud, self.level, (x, y), side)
+        return WaterCells.from_levels(cloud, self.level, (x, y), side)
 
     def at(self, xyz: np.ndarray, cells: Cells) -> list[np.ndarray]:
         """f32[n] each: elevations of decks, of water, and of water without the shore, at points f32[n, 3]."""

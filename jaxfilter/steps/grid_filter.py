@@ -224,17 +224,19 @@ def _ground_each(
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
     threads = workers or os.cpu_count() or 1
 
-    def made(numbers: list[int]) -> tuple[Surface, set[str]]:
+    def make_surface(numbers: list[int]) -> tuple[Surface, set[str]]:
         first, read = watched(some[numbers[0]])
         return first.surface(prepared), read
 
-    def passed(job: tuple[Surface | None, int]) -> np.ndarray:
+    def classify_set(job: tuple[Surface | None, int]) -> np.ndarray:
         one = some[job[1]]
         return _passed(job[0] or one.surface(prepared), points.xyz, one)
 
-    for numbers, (surface, read) in in_turn(made, alike(filter_._deciding(prepared, some)), max(1, min(threads, room))):
+    for numbers, (surface, read) in in_turn(
+        make_surface, alike(filter_._deciding(prepared, some)), max(1, min(threads, room))
+    ):
         shared = surface if read.isdisjoint(filter_.TESTED) else None
-        for (_, number), ground in in_turn(passed, [(shared, number) for number in numbers], threads):
+        for (_, number), ground in in_turn(classify_set, [(shared, number) for number in numbers], threads):
             yield same[number], ground
 
 

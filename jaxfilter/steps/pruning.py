@@ -31,11 +31,11 @@ class Scatter(NamedTuple):
     roughness: np.ndarray
 
     @classmethod
-    def of(cls, tin: Tin) -> Scatter:
+    def from_vertices(cls, tin: Tin) -> Scatter:
         """Measure all vertices of a triangulation with threads at work."""
-        return cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)).again(tin, tin.vertex)
+        return cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)).measure_again(tin, tin.vertex)
 
-    def again(self, tin: Tin, among: np.ndarray) -> Scatter:
+    def measure_again(self, tin: Tin, among: np.ndarray) -> Scatter:
         """With the vertices ``among``, bool[m], measured once more."""
         from ..engines.tin.rings import residuals, roughness  # imports Numba
 
@@ -46,7 +46,7 @@ class Scatter(NamedTuple):
         list(tin.pool.map(lambda part: roughness(*tables, part, *out), parts))
         return out
 
-    def of_all(self, ground: GroundTin) -> Scatter:
+    def at_all_points(self, ground: GroundTin) -> Scatter:
         """Over the triangulation as it is: points that are no vertex have no residual, and the mean roughness at the corners of
         their facet."""
         around, tin = self.roughness.copy(), ground.tin
@@ -56,7 +56,7 @@ class Scatter(NamedTuple):
         around[rows] = around[tin.corners(tin.where[rows])].mean(axis=1)
         return Scatter(np.where(tin.vertex, self.residual, 0), around)
 
-    def of_scene(self, tin: Tin) -> float:
+    def deviation(self, tin: Tin) -> float:
         """Metres: the standard deviation of the residuals of vertices, as 1.4826 times their median absolute value."""
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
@@ -99,5 +99,5 @@ def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, least
         ground.drop(drop)
         if left == 1 or len(drop) == 0 or not np.isfinite(least).any():
             break
-        scatter, over = scatter.again(tin, np.isfinite(least)), np.zeros_like(over)
+        scatter, over = scatter.measure_again(tin, np.isfinite(least)), np.zeros_like(over)
     return dropped

@@ -15,7 +15,7 @@ VOID_REACH = 25.0
 """Metres around a place in a void within which the lowest point counts, where it may be water."""
 
 
-def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def fill_from_triangulation(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points; and
     bool[rows, columns], not padded: cells inside its hull.
 
@@ -36,7 +36,7 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.nd
     return np.asarray(fill_nearest(z, seen, cells.valid)), seen[:rows, :columns]
 
 
-def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
+def lower_voids(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
     """f32[rows, columns]: ``z`` with the lowest elevation within :data:`VOID_REACH` in voids: water is below what is around it.
 
     Args:
