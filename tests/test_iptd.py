@@ -100,13 +100,6 @@ def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
         jf.IPTD(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
 
 
-def test_the_table_of_tuned_parameters_holds_the_printed_ones():
-    f = tuned("iptd", "samp23")
-    assert (f.window, f.k, f.plane_error, f.max_angle, f.max_distance) == (40.0, 600, 0.8, 45.0, 1.5)
-    with pytest.raises(jf.ParameterError, match="1000 cells"):
-        jf.IPTD(cell=0.01)
-
-
 @pytest.mark.slow
 @pytest.mark.data
 def test_the_operators_parameters_reach_the_printed_mean(sample):
