@@ -62,14 +62,6 @@ def test_the_model_is_a_logistic_function_up_to_a_half_for_each_label(rng):
     np.testing.assert_allclose(probability(values, ground), expected, atol=1e-5)
 
 
-def test_doubt_does_not_depend_on_the_order_of_points(scene, result):
-    cloud, _ = scene
-    order = np.random.default_rng(1).permutation(len(cloud))
-    rows = order[cloud.candidate[order]]
-    other = jf.PointCloud.from_arrays(cloud.coordinates()[rows])
-    assert np.array_equal(jf.OST.for_cloud(other)(other).doubt, result.doubt[rows])
-
-
 def test_degenerate_clouds_have_doubt_without_numbers():
     flat = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [9, 9, 0], [4, 5, 0]])
     with pytest.warns(jf.JaxfilterWarning):

@@ -156,7 +156,7 @@ def test_out_of_range_values_are_named(method):
 def test_any_order_of_the_points_gives_the_same_labels(method, small, found, rng):
     order = rng.permutation(len(small[0]))
     shuffled = method()(small[0][order])
-    for name in ("ground", "height", "margin", "decision"):
+    for name in ("ground", "height", "margin", "decision", *["doubt"] * method.DOUBTS):
         np.testing.assert_array_equal(getattr(found, name)[order], getattr(shuffled, name))
 
 
