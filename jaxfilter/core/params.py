@@ -113,7 +113,7 @@ def declared(params: Any) -> list[dataclasses.Field[Any]]:
     return sorted(dataclasses.fields(params), key=lambda field: bool(field.kw_only))
 
 
-def described(field: dataclasses.Field[Any]) -> str:
+def describe_field(field: dataclasses.Field[Any]) -> str:
     """Type, unit, range, default and meaning of a field, as a line of a docstring."""
     meta, default = field.metadata, field.default
     choices = meta.get("choices")
@@ -200,7 +200,7 @@ def filter_params(cls: type[T]) -> type[T]:
     out = dataclasses.dataclass(frozen=True)(cls)
     if out.__doc__:  # python -OO has none
         wrap = textwrap.TextWrapper(100, initial_indent=" " * 4, subsequent_indent=" " * 8, break_on_hyphens=False)
-        lines = [wrap.fill(described(field)) for field in declared(out)]
+        lines = [wrap.fill(describe_field(field)) for field in declared(out)]
         out.__doc__ = "\n".join([inspect.cleandoc(out.__doc__), "", "Args:", *lines])
     fields = dataclasses.fields(out)  # type: ignore[arg-type]
     leaves = [f.name for f in fields if not f.metadata.get("static")]

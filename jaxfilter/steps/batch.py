@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from ..core.errors import ParameterError
-from ..core.filter import check_resources, watched
+from ..core.filter import check_resources, watch
 from ..core.points import Points
 from ..engines.grid.cells import padded_length
 from .grid_filter import CELL_BYTES, POINT_BYTES, check_width
@@ -157,7 +157,7 @@ class Batch:
         )
 
 
-def stacked(
+def stack_clouds(
     filter_: Any, taken: list[Points], ready: list[tuple[Any, ...]], names: tuple[str, ...] | None, blocks: int
 ) -> Batch:
     """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
@@ -228,7 +228,7 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
     def prepare(one: Any, cells: Cells) -> Any:
         return lax.optimization_barrier(one.prepare(cells.checked()))
 
-    (one, early), (other, late) = watched(filter_), watched(filter_)
+    (one, early), (other, late) = watch(filter_), watch(filter_)
     jax.eval_shape(lambda cells: other.surface(prepare(one, cells)), jax.tree.map(lambda leaf: leaf[0], block.cells))
 
     def of_cloud(cloud: Block) -> jax.Array:
