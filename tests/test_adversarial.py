@@ -97,7 +97,7 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
     (lambda: jf.CSF(resolution=0.3, iterations=10_000), "so many steps of .* particles for 300 points"),
     (lambda: jf.CSF(time_step=1e9), "must be > 0 and <= 10"),
     (lambda: jf.AGPTD(neighbours=10**6), "must be >= 0 and <= 4096"),
-    (lambda: jf.PTD(seed_cell=0.001), "cells of 0.001 m for the seeds make .* use larger ones"),
+    (lambda: jf.PTD(seed_cell=0.001), r"PTD\(seed_cell=0.001\): the seeds need .* use larger ones"),
     (lambda: jf.SMRF(cell=0.5, window=300.0), "600 openings of .* cells for 300 points: use larger cells or a smaller"),
     (lambda: jf.PPDF(window=3000.0), "more than 1000 cells of canopy_cell=2 m"),
 ])  # fmt: skip

@@ -1,23 +1,14 @@
 """AGPTD: the adaptive grid against a plain loop, its seeds, the terrain angle, and what its printed errors hang on."""
 
-import csv
-import sys
-from pathlib import Path
-
 import jax
 import numpy as np
 import pytest
 
 import jaxfilter as jf
+from experiments.papers.oracle import tuned, without_labelled_objects
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.adaptive_grid import MAX_SLOPE, cell_slopes, lowest_per_adaptive_cell
 from jaxfilter.steps.outliers import bar_outliers
-
-ROOT = Path(__file__).resolve().parents[1]
-PUBLISHED = ROOT / "experiments" / "isprs" / "published"
-sys.path.insert(0, str(ROOT))
-
-from experiments.papers.oracle import tuned, without_labelled_objects  # noqa: E402
 
 
 def hills(count=4000, seed=3, extent=(170.0, 130.0)):
@@ -165,17 +156,6 @@ def test_labelled_objects_that_coincide_with_ground_stay():
     cloud = jf.PointCloud.from_arrays(xyz, reference=np.array([True, False, False, False, True, True]))
     left = without_labelled_objects(cloud, 1.0, jax.random.key(0)).candidate
     assert left.tolist() == [True, True, False, False, True, True]
-
-
-def test_the_table_of_tuned_parameters_holds_the_values_of_table_1():
-    with open(PUBLISHED / "zheng2024_table1.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 15
-    for row in rows:
-        own = tuned("agptd", row["sample"])
-        printed = tuple(float(row[name]) for name in ("neighbours", "max_angle", "max_distance"))
-        assert (own.neighbours, own.max_angle, own.max_distance) == printed
-        assert own.radius == (14.0 if row["sample"][4] in "567" else 6.0)
 
 
 @pytest.mark.data

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from experiments.papers.oracle import tuned
 from jaxfilter.methods import atin
 
 
@@ -70,15 +69,3 @@ def test_border_switch_changes_the_number_of_simulated_points(rough):
     corners = jf.ATIN(border="corners", seed_cell=30.0)(xyz)
     perimeter = jf.ATIN(border="perimeter", seed_cell=30.0)(xyz)
     assert corners.info["border_points"] == 4 and perimeter.info["border_points"] == 2 * (4 + 4)
-
-
-@pytest.mark.slow
-def test_with_few_deviations_adaptive_thresholds_accept_fewer_objects_on_the_samples(sample, monkeypatch):
-    monkeypatch.setattr(atin, "_DEVIATIONS", 4.0)
-    adaptive, constant = [], []
-    for number in (12, 71):
-        cloud = sample(number)
-        f = tuned("atin", f"samp{number}", mirror="off")
-        adaptive.append(jf.evaluate(f(cloud), cloud.reference).type2)
-        constant.append(jf.evaluate(f.replace(thresholds="constant")(cloud), cloud.reference).type2)
-    assert (np.array(adaptive) < np.array(constant)).all()

@@ -16,7 +16,7 @@ from jaxfilter.steps.ground_rules import AngleRule
 
 
 def crowd_of(xyz, **options):
-    return Crowd.of(canonical_points(jf.PointCloud.from_arrays(xyz, **options)))
+    return Crowd.from_points(canonical_points(jf.PointCloud.from_arrays(xyz, **options)))
 
 
 def sheet(rng, density=300.0, side=24.0, noise=0.04):
@@ -135,7 +135,7 @@ def test_what_stands_on_dense_ground_is_told_from_it_and_false_echoes_below_are_
 def test_points_that_stand_for_others_have_the_labels_of_a_cloud_of_them_alone(yard):
     xyz, _ = yard
     cloud = jf.PointCloud.from_arrays(xyz)
-    crowd, filter_ = Crowd.of(canonical_points(cloud)), jf.OST.for_cloud(cloud)
+    crowd, filter_ = Crowd.from_points(canonical_points(cloud)), jf.OST.for_cloud(cloud)
     index = np.argsort(crowd.every.member)[crowd.rows]  # no two points are equal
     every, alone = filter_(cloud), filter_(jf.PointCloud.from_arrays(cloud.coordinates()[index]))
     for name in ("ground", "height", "slope", "margin", "doubt", "decision", "barred"):

@@ -321,7 +321,7 @@ def lawn(monkeypatch):
     xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (n, 2)) / 1024
     cloud = PointCloud.from_arrays(np.column_stack([xy, rng.normal(0, 0.02, n)]))
     filter_ = jf.PTD(max_angle=89.0, max_distance=99.0, seed_cell=240.0, low_clusters=False)
-    monkeypatch.setattr(tin_module, "CHUNK", 1024)
+    monkeypatch.setattr(tin_module, "NODES_AT_ONCE", 1024)
     monkeypatch.setattr(tin_module, "_SHARE", 1024)
     return functools.partial(filter_, cloud)
 

@@ -8,7 +8,7 @@ import pytest
 
 from jaxfilter.core.result import Decision
 from jaxfilter.engines.tin import facets as kernels
-from jaxfilter.engines.tin.facets import QUANTITIES, FacetScore, Rule, mirrored
+from jaxfilter.engines.tin.facets import FACET_QUANTITIES, FacetScore, Rule, mirrored
 
 
 def judge(rule, late, points, facets, **names):
@@ -61,7 +61,7 @@ def test_a_point_has_the_same_result_among_few_and_among_many(scene, late):
     many = judge(rule, np.full(8192, late), points, facets)
     for size in (7, 300, 1024):
         few = judge(rule, np.full(size, late), points[:size], facets[:size])
-        for name in QUANTITIES:
+        for name in FACET_QUANTITIES:
             np.testing.assert_array_equal(few[name], many[name][:size], err_msg=name)
 
 

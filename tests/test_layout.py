@@ -62,3 +62,14 @@ def test_jax_and_what_is_compiled_do_not_import_each_other_nor_scipy_and_jax_in_
     other = {module for module in engines if LIBRARIES[module] & {"numba", "scipy"}} | compiled & engines
     for one, two in ((jax, other), (other, jax)):
         assert len(one) > 5 and not [module for module in one if {module, *GRAPH[module]} & two]
+
+
+def test_no_constant_has_the_name_of_another():
+    """But those that are private to a module."""
+    values = {}
+    for path in PATHS.values():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                values.setdefault(node.targets[0].id, set()).add(ast.unparse(node.value))
+    constants = {name: found for name, found in values.items() if name[0] != "_" and name.isupper()}
+    assert not {name: found for name, found in constants.items() if len(found) > 1}

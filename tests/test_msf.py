@@ -2,11 +2,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy import ndimage
 from test_pmf import hamlet
 
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.engines.grid.cones import cone_erosion
 from jaxfilter.methods.msf import MSF
 
 
@@ -39,16 +37,6 @@ def test_equals_brute_force(changes):
     xyz, _ = hamlet()
     f = MSF(low_clusters=False, initial_distance=0.3171, **changes)
     np.testing.assert_array_equal(f(xyz).ground, brute(xyz, f))
-
-
-@pytest.mark.parametrize("radius", [0.0, 1.0, 2.3, 6.0])
-def test_cone_erosion_equals_scipy(radius):
-    z = np.random.default_rng(2).normal(0, 2, (31, 44)).astype(np.float32)
-    y, x = np.mgrid[-6:7, -6:7]
-    distance = np.hypot(x, y)
-    cone = np.where(distance <= radius, -0.4 * distance, -np.inf)
-    expected = ndimage.grey_erosion(z, footprint=distance <= radius, structure=cone, mode="constant", cval=np.inf)
-    np.testing.assert_allclose(cone_erosion(z, np.float32(0.4), np.float32(radius), 6), expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("degrees, kept", [(29, True), (34, False)])

@@ -29,7 +29,7 @@ from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
 from jaxfilter.steps.surfaces import lowest_cells
-from jaxfilter.steps.voids import filled_by
+from jaxfilter.steps.voids import fill_from_triangulation
 
 ROOFS = Roofs(step=0.3, area=30.0, share=0.6, drop=2.5, drop_share=0.5)
 
@@ -228,7 +228,7 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     wide, marked = np.zeros(cells.lowest.shape, np.float32), np.zeros(cells.lowest.shape, bool)
     inside = slice(0, 100), slice(0, 100)
     wide[inside], marked[inside] = z[inside], objects[inside]
-    landscape = Landscape.of(wide, cells, marked, 10.0)
+    landscape = Landscape.from_elevations(wide, cells, marked, 10.0)
     slope = np.asarray(landscape.in_cells())[inside]
     np.testing.assert_allclose(slope, 0.5, atol=0.06 if houses else 1e-3)
     middles = np.stack([column[inside].ravel(), row[inside].ravel(), 0 * slope.ravel()], axis=1) + np.float32(0.5)
@@ -242,7 +242,7 @@ def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_s
     slope = np.zeros(cells.lowest.shape, np.float32)
     slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
     first = jf.OST(cell=cell, window=4 * cell, landscape=5.0).drops(slope * cell, np.ones((40, 40), bool), cells)[2]
-    expected = Landscape.of(slope * cell, cells, slope > 0.15, 5.0)
+    expected = Landscape.from_elevations(slope * cell, cells, slope > 0.15, 5.0)
     np.testing.assert_array_equal(first.in_cells(), expected.in_cells())
 
 
@@ -596,7 +596,7 @@ def test_cells_outside_the_hull_are_told(rng, tin_of):
     xyz = points_of(np.column_stack([xy, np.ones(len(xy))]))
     tin = tin_of(xyz)
     cells = cells_of(xyz)
-    inside = filled_by(tin, cells, 4, 8.0)[1]
+    inside = fill_from_triangulation(tin, cells, 4, 8.0)[1]
     row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
     x, y, _ = np.asarray(cells.frame)
     hull = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([column.ravel() + x + 0.5, row.ravel() + y + 0.5])) >= 0
@@ -616,7 +616,7 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
     tin = tin_of(xyz)
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
-    hung, straight = (filled_by(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
+    hung, straight = (fill_from_triangulation(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
     np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
     expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
     assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4
@@ -629,17 +629,17 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     nowhere = np.full(len(plane), np.inf, np.float32)
     with ground_of(plane, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         before = ground.tin.vertex.sum()
-        scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, nowhere) == 0
+        scatter = Scatter.from_vertices(ground.tin)
+        assert prune(ground, scatter, 12.0 * scatter.deviation(ground.tin), 3.0, nowhere) == 0
         assert ground.tin.vertex.sum() == before and ground.ground.all()
     spiked = plane.copy()
     spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
     spiked[spike, 2] += 0.8
     with ground_of(spiked, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
-        scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, nowhere) == 1
+        scatter = Scatter.from_vertices(ground.tin)
+        assert prune(ground, scatter, 12.0 * scatter.deviation(ground.tin), 3.0, nowhere) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
-        residual, roughness = scatter.of_all(ground)  # it is no vertex any more
+        residual, roughness = scatter.at_all_points(ground)  # it is no vertex any more
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
@@ -671,7 +671,7 @@ def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, c
     def pruned(passes):
         monkeypatch.setattr(pruning, "PASSES", passes)
         with ground_of(xyz, np.flatnonzero(low), HeightRule(0.1, 0.1), 2) as ground:
-            scatter = Scatter.of(ground.tin)
+            scatter = Scatter.from_vertices(ground.tin)
             dropped = prune(ground, scatter, 1e9, 1.0, np.full(len(xyz), least, np.float32))
             gone = low & ~ground.ground
             assert dropped == gone.sum() and (ground.margin[gone] > 0).all()

@@ -72,6 +72,17 @@ def test_a_domain_is_a_symbol_limits_and_a_unit():
             param("doc", domain, default=1.0)
 
 
+def test_a_plain_value_of_an_inherited_field_is_its_default():
+    @filter_params
+    class Steep(Toy):
+        angle: float = 40.0
+        window: float | None = None
+
+    assert (Steep().angle, Steep().window, Steep().rounds) == (40.0, None, 10)
+    with pytest.raises(ParameterError, match=r"Steep\(angle=0\): must be > 0 and <= 90 degrees"):
+        Steep(angle=0)
+
+
 def test_limits_are_inclusive_where_declared_and_optional_fields_may_be_none():
     assert Toy(angle=90, floor=0, window=None, rounds=1).window is None
     assert Toy(angle=np.float32(45)).angle == 45

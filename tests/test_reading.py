@@ -23,7 +23,7 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
 from jaxfilter.core.cloud import as_cloud
-from jaxfilter.core.inputs import COLUMNS
+from jaxfilter.core.inputs import COLUMN_TYPES
 from jaxfilter.core.units import not_metric
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers", "ignore:.*metres are assumed")
@@ -314,7 +314,7 @@ def test_las_data_is_its_file(tmp_path, point_format, crs, units):
         for bounds in (None, box):
             expected, cloud = (jf.read(source, units=units, bounds=bounds) for source in (tmp_path / "in.las", data))
             assert cloud.xyz.tobytes() == expected.xyz.tobytes() and cloud.origin.tolist() == expected.origin.tolist()
-            for name in (*COLUMNS, "candidate", "reference"):
+            for name in (*COLUMN_TYPES, "candidate", "reference"):
                 np.testing.assert_array_equal(getattr(cloud, name), getattr(expected, name), err_msg=name)
             assert (cloud.units, cloud.crs, cloud.source) == (expected.units, expected.crs, None)
     assert data.X.tolist() == las.X.tolist()  # not used up

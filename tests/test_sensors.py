@@ -14,7 +14,7 @@ from jaxfilter.methods.ost import NO_VOID
 from jaxfilter.scenes import SENSORS, Kind, SceneLayout
 from jaxfilter.steps.outliers import lowest_few, pits
 from jaxfilter.steps.seeds import rising
-from jaxfilter.steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
+from jaxfilter.steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
 from jaxfilter.steps.surfaces import lowest_cells
 
 SIZES = {AIRBORNE: (90.0, 4.0), DRONE: (40.0, 100.0), MATCHING: (60.0, 30.0), MOBILE: (70.0, 20.0)}
@@ -27,7 +27,7 @@ def scene(sensor, layout="town", seed=101, **options):
 
 
 def sensed(cloud):
-    return Sensed.of(canonical_points(cloud))
+    return SensorFacts.from_points(canonical_points(cloud))
 
 
 @pytest.mark.parametrize("sensor", [pytest.param(k, marks=pytest.mark.slow) if k == MOBILE else k for k in KINDS])

@@ -14,7 +14,7 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_processor
-from jaxfilter.core.filter import ground_each
+from jaxfilter.core.filter import ground_each, watch
 from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
@@ -546,6 +546,14 @@ def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills
 def test_a_batch_in_whose_cells_a_threshold_takes_part_is_refused(user, hills):
     with pytest.raises(jf.ParameterError, match="the cells of Mine depend on 'threshold': declare it as static"):
         jf.batch([hills], user)
+
+
+@pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])
+def test_no_limit_of_the_growth_decides_where_it_starts(method, hills):
+    one, read = watch(method())
+    one.start(canonical_points(hills), 1, lambda share, step: None)
+    limits = {"max_angle", "max_elevation", "max_distance", "stop_ratio"}
+    assert not read & limits and limits & {field.name for field in dataclasses.fields(method)}
 
 
 def test_a_checkpoint_does_not_outlive_an_edit_of_the_filter(cloud, tmp_path, monkeypatch):

@@ -172,7 +172,7 @@ def test_any_history_has_the_triangulation_of_its_vertices(kind, pool, seed, siz
         return
     start = single(xy, np.sort(rng.permutation(len(xyz))[: rng.integers(3, size)]))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tin_module, "CHUNK", chunk)
+        patch.setattr(tin_module, "NODES_AT_ONCE", chunk)
         patch.setattr(tin_module, "_MADE", most)
         tin = Tin(xyz, sheet, start if has_area(xy[start]) else every, pool, workers)
         assert_canonical(tin)

@@ -137,7 +137,7 @@ def _logistic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def stated(one: Judged, weights: np.ndarray) -> np.ndarray:
     """f32[n]: the doubt of a model with these weights."""
-    with mock.patch.object(doubt, "MODEL", weights):
+    with mock.patch.object(doubt, "DOUBT_MODEL", weights):
         return doubt.probability(one.evidence, one.ground)
 
 

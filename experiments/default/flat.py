@@ -97,9 +97,9 @@ class Constant(NamedTuple):
         whole = isinstance(self.default, int)
         value = round(self.default * factor) if whole else float(self.default) * factor
         share = self.place.endswith(
-            (".ROOFS", ".WALLS", ".BANKS", ".KNOWN", ".STEADY", ".RISING", ".FALLING", ".STEEPEST")
+            (".ROOFS", ".WALLS", ".BANKS", ".KNOWN", ".STEADY", ".RISING", ".FALLING", ".STEEPEST_ANGLE")
         )
-        most = 90.0 if self.place.endswith(".STEEPEST") else 1.0
+        most = 90.0 if self.place.endswith(".STEEPEST_ANGLE") else 1.0
         return None if value == self.default or (share and value >= most) else value
 
     @contextlib.contextmanager
@@ -137,20 +137,21 @@ CONSTANTS = [
     *_of("low points", "methods.ost", "LOW_DEPTH LOW_SPACINGS"),
     *_of("low points", "steps.outliers", "SCATTER"),
     Constant("voids", "void"),
-    *_of("voids", "methods.ost", "RIM"),
-    *_of("borders", "methods.ost", "STEEPEST"),
+    *_of("voids", "methods.ost", "VOID_RIM"),
+    *_of("borders", "methods.ost", "STEEPEST_ANGLE"),
     *_of("faces at borders", "steps.objects", "FURTHER KNOWN"),
     *_of("steep terrain", "steps.objects", "SMOOTH ROOFS WALLS"),
     *_of("embankments", "steps.objects", "BANK EVEN BANKS"),
-    *_of("overhangs", "steps.overhangs", "VOID SHEET"),
-    *_of("under plants", "steps.pruning", "VEIL AROUND PASSES"),
+    *_of("overhangs", "steps.overhangs", "VOID SHEET_SPREAD"),
+    *_of("under plants", "steps.pruning", "VEIL EDGES_AROUND PASSES"),
     *_of("under plants", "methods.ost", "OUT"),
     *_of("decks", "steps.decks", "DROP HIGH NEAR AREA LENGTH STEADY ENDS MOST JOIN LAND"),
-    *_of("water", "steps.voids", "AROUND"),
-    *_of("water", "steps.water", "FLAT STEP LEVEL CORE AREA SLOPING DENSE_AREA DENSE_LEVEL THIN RISE RISING FALLING RIM"),
+    *_of("water", "steps.voids", "VOID_REACH"),
+    *_of("water", "steps.water", "FLAT STEP LEVEL_RANGE CORE AREA SLOPING DENSE_AREA DENSE_LEVEL THIN"),
+    *_of("water", "steps.water", "RISE RISING FALLING RIM_CELLS"),
     *_of("water", "steps.water", "SURFACE AFLOAT", also=("methods.ost",)),
     *_of("dense clouds", "steps.crowd", "DENSE _SIDE _SHEET", sensed=True),
-    *(Constant("other sensors", "methods.ost.SHEET", (kind,), sensed=True) for kind in (MATCHING, DRONE)),
+    *(Constant("other sensors", "methods.ost.SHEET_TOLERANCE", (kind,), sensed=True) for kind in (MATCHING, DRONE)),
     *_of("other sensors", "methods.ost", "THINNEST MATCHED_ROUNDS CLUSTER", sensed=True),
     *(Constant("other sensors", "methods.ost.PITS", (kind, i), sensed=True) for kind in (MATCHING, DRONE) for i in range(2)),
 ]  # fmt: skip

@@ -30,7 +30,7 @@ def takes(**wanted: str | int | tuple[Any, ...]) -> Callable[[Callable[..., R]],
     or as what there is to choose from. Raises, when called: InputError for arrays, ParameterError for others.
     """
 
-    def of(function: Callable[..., R]) -> Callable[..., R]:
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
         signature = inspect.signature(function)
 
         @functools.wraps(function)
@@ -50,7 +50,7 @@ def takes(**wanted: str | int | tuple[Any, ...]) -> Callable[[Callable[..., R]],
         checked.lower = getattr(function, "lower", None)  # type: ignore[attr-defined]
         return checked
 
-    return of
+    return decorate
 
 
 def operation(**wanted: str | int | tuple[Any, ...]) -> Callable[[Callable[..., R]], Callable[..., R]]:

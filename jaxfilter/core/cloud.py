@@ -13,11 +13,11 @@ from .echoes import echo_mask, numbering, renumbered
 from .errors import InputError, warn
 from .frame import QUANTUM as QUANTUM
 from .frame import Coordinates, check_scales
-from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, numbers, structured_parts
+from .inputs import COLUMN_TYPES, as_column, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
 from .reading import KEPT_CLASSES as KEPT_CLASSES
 from .reading import Reading
-from .units import UNITS, Units, parse_crs
+from .units import NAMED_UNITS, Units, parse_crs
 
 OVERLAP_CLASS = 12
 """ASPRS class of points in the overlap of flight lines, up to LAS 1.3."""
@@ -83,7 +83,7 @@ class PointCloud:
     reference: np.ndarray | None = None
     valid: np.ndarray | None = None
     crs: Any = None
-    units: Units = UNITS["m"]
+    units: Units = NAMED_UNITS["m"]
     anchor: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(2))
     source: Any = None
     whole: Whole | None = None
@@ -218,7 +218,7 @@ class PointCloud:
     ) -> PointCloud:
         units, local = reading.metres, places.local
         origin, valid = places.place(valid, units, reading.anchor, name, reading.drop_invalid)
-        arrays, numbered = (*COLUMNS, "reference", "candidate"), attributes.pop("numbering", None)
+        arrays, numbered = (*COLUMN_TYPES, "reference", "candidate"), attributes.pop("numbering", None)
         for key, value in attributes.items():
             if key in arrays and value is not None:
                 attributes[key] = as_column(key, value, name, len(local))

@@ -223,12 +223,12 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 _Filter = TypeVar("_Filter", bound=Filter)
 
 
-def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
+def watch(filter_: _Filter) -> tuple[_Filter, set[str]]:
     """A copy of a filter, and the names of what has been read of it so far: what a step makes of the copy, it makes of every set
     that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it."""
     one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
-    made_before = own.keys() - names - {"_read"}  # of fields that nobody has watched
-    read = names if made_before else set[str]()
+    derived = own.keys() - names - {"_read"}  # of fields that nobody has watched
+    read = names if derived else set[str]()
     _own(one).update(own, _read=read)
     return one, read
 
@@ -246,13 +246,13 @@ def stage(method: _Method) -> _Method:
     def call(self: Filter, points: Points, *args: Any) -> Any:
         if points.kept is None:
             return method(self, points, *args)
-        read, values, made = points.kept.get(method.__qualname__, (set(), None, None))
+        read, values, result = points.kept.get(method.__qualname__, (set(), None, None))
         if values != values_of([self], read):
-            one, read = watched(self)
-            made = method(one, points, *args)
-            points.kept[method.__qualname__] = read, values_of([self], read), made
+            one, read = watch(self)
+            result = method(one, points, *args)
+            points.kept[method.__qualname__] = read, values_of([self], read), result
         _own(self).get("_read", set()).update(read)  # whoever watches the caller is to know
-        return made
+        return result
 
     return call  # type: ignore[return-value]
 
@@ -286,7 +286,7 @@ def ground_each(
     share all but the last step, and several are classified at a time, in threads. Each set has the labels of ``classify``.
     ``memory``: bytes for what is held for many sets. Yields: number of the set, and bool[m], the points that are ground; in
     any order of the sets."""
-    jobs = alike(values_of(sets, but=filter_.LAST))
+    jobs = group_equal(values_of(sets, but=filter_.LAST))
     points = points if points.kept is not None else dataclasses.replace(points, kept={})
     threads = workers or os.cpu_count() or 1
     at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
@@ -301,12 +301,12 @@ def ground_each(
 
 
 def values_of(sets: Sequence[Filter], read: set[str] | None = None, but: Sequence[str] = ()) -> list[tuple[Any, ...]]:
-    """The values of all fields of every set, or of those that :func:`watched` has seen read; but not of some."""
+    """The values of all fields of every set, or of those that :func:`watch` has seen read; but not of some."""
     names = [f.name for f in declared(sets[0]) if (read is None or f.name in read) and f.name not in but]
     return [tuple(map(_own(one).get, names)) for one in sets]
 
 
-def alike(keys: Iterable[Any]) -> list[list[int]]:
+def group_equal(keys: Iterable[Any]) -> list[list[int]]:
     """Numbers of equal keys together, in the order in which the keys appear."""
     found: dict[Any, list[int]] = {}
     for number, key in enumerate(keys):

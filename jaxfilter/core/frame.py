@@ -24,7 +24,7 @@ LARGEST_SPAN = (1e7, 1e7, 1e5)
 """Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
 COARSE = 0.005
 """Metres: steps of float32 coordinates above which a warning is given. Half of it is an error of height that does not count."""
-SCALES = (1e-12, 100.0)
+SCALE_LIMITS = (1e-12, 100.0)
 """Scale factors of LAS files that are believed: above the first, up to the second."""
 _ROWS = 1 << 15  # points that are converted at a time: what is made of them stays in the cache
 
@@ -155,7 +155,7 @@ def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
     """Scales and offsets of integer coordinates, f64[3] each. Raises InputError naming the field."""
-    low, high = SCALES
+    low, high = SCALE_LIMITS
     for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
         if not low < scale <= high:
             raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from .echoes import numbering
 from .errors import InputError
-from .units import STATED, Stated, Units, check_lengths, linear_units, reference_of, sampled
+from .units import CRS_RECORDS, Stated, Units, check_lengths, linear_units, reference_of, sampled
 
 GROUND_CLASS = 2
 """ASPRS class ground."""
@@ -21,7 +21,7 @@ def is_laspy(points: Any) -> bool:
     return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
 
 
-COLUMNS = {
+COLUMN_TYPES = {
     "return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool, "overlap": bool
 }  # fmt: skip
 """What is known of points beside their coordinates, and how it is held."""
@@ -41,8 +41,8 @@ def numbers(values: Any, what: str) -> np.ndarray:
 
 
 def as_column(field: str, values: Any, name: str, n: int) -> np.ndarray:
-    """One of :data:`COLUMNS`, or another of bools, [n], as it is held. Raises: InputError for values that it cannot hold."""
-    given, kind = np.asanyarray(values), COLUMNS.get(field, bool)
+    """One of :data:`COLUMN_TYPES`, or another of bools, [n], as it is held. Raises: InputError for values that it cannot hold."""
+    given, kind = np.asanyarray(values), COLUMN_TYPES.get(field, bool)
     if given.ndim == 1 and len(given) != n:
         raise InputError(f"{name}: {field} has {len(given)} entries for {n} points")
     if given.ndim != 1:
@@ -85,7 +85,7 @@ def _names_of(points: Any) -> tuple[str, ...]:
     """Fields of a structured array, columns of a table, or attributes out of x, y, z and the columns."""
     names = getattr(getattr(points, "dtype", None), "names", None) or getattr(points, "columns", None)
     if names is None:
-        return tuple(name for name in ("x", "y", "z", *COLUMNS) if hasattr(points, name))
+        return tuple(name for name in ("x", "y", "z", *COLUMN_TYPES) if hasattr(points, name))
     return tuple(name for name in names if isinstance(name, str))
 
 
@@ -104,7 +104,7 @@ def laspy_parts(
     stated = {
         vlr.record_id: vlr.record_data_bytes()
         for vlr in [*las.header.vlrs, *(evlrs or ())]
-        if (vlr.user_id, vlr.record_id) in STATED
+        if (vlr.user_id, vlr.record_id) in CRS_RECORDS
     }
     wkt = las.point_format.id >= 6 or las.header.global_encoding.wkt
     reference = asked.of(reference_of(stated, name, wkt), name)
@@ -115,7 +115,7 @@ def laspy_parts(
         some = ticks[sampled(len(ticks))] * scales + offsets
         check_lengths(name, some, len(ticks), reference.units is not None, strict=True)
     there = set(las.point_format.dimension_names)
-    columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
+    columns = {field: np.array(las[field], kind) for field, kind in COLUMN_TYPES.items() if field in there}
     how = numbering(columns, ticks[:, 2], las["gps_time"] if "gps_time" in there else None)
     more = {"crs": reference.crs, "reference": _ground_of(columns), "numbering": how}
     return scale, (ticks, scales, offsets), columns | more
@@ -137,7 +137,7 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
     if len(shapes := {axis.shape for axis in axes}) > 1 or axes[0].ndim != 1:
         raise InputError(f"{name}: X, Y and Z must have one length and one dimension, not shapes {sorted(shapes)}")
     n = len(axes[0])
-    columns = {field: as_column(field, get(field), name, n) for field in COLUMNS if _plain(field) in named}
+    columns = {field: as_column(field, get(field), name, n) for field in COLUMN_TYPES if _plain(field) in named}
     time = numbers(get("gps_time"), f"{name}: gps_time") if "gpstime" in named else None
     how = numbering(columns, axes[2], time)
     return {"xyz": np.ma.stack(axes, axis=1), **columns, "reference": _ground_of(columns), "numbering": how}

@@ -113,7 +113,7 @@ def declared(params: Any) -> list[dataclasses.Field[Any]]:
     return sorted(dataclasses.fields(params), key=lambda field: bool(field.kw_only))
 
 
-def described(field: dataclasses.Field[Any]) -> str:
+def describe_field(field: dataclasses.Field[Any]) -> str:
     """Type, unit, range, default and meaning of a field, as a line of a docstring."""
     meta, default = field.metadata, field.default
     choices = meta.get("choices")
@@ -185,13 +185,22 @@ def check_fields(params: Any) -> None:
 def filter_params(cls: type[T]) -> type[T]:
     """Class decorator: frozen dataclass, registered as a pytree and, if it is a filter, in :data:`FILTERS`.
 
-    The fields, as they are declared, become the part ``Args`` of the docstring. JAX rebuilds trees with leaves that no user
-    may give (stacked arrays, placeholders); so a tree is rebuilt without ``__post_init__``.
+    The fields, as they are declared, become the part ``Args`` of the docstring. A plain value for a field of a base class, such
+    as ``max_angle: float = 25.0``, is another default of that field. JAX rebuilds trees with leaves that no user may give
+    (stacked arrays, placeholders); so a tree is rebuilt without ``__post_init__``.
     """
+    own = {name for name, kind in inspect.get_annotations(cls).items() if "ClassVar" not in str(kind)} & vars(
+        cls
+    ).keys()
+    for base in filter(dataclasses.is_dataclass, cls.__mro__[1:]):
+        for field in dataclasses.fields(base):
+            if field.name in own and not isinstance(value := vars(cls)[field.name], dataclasses.Field):
+                new = dataclasses.field(default=value, metadata=field.metadata, kw_only=field.kw_only)
+                setattr(cls, field.name, new)
     out = dataclasses.dataclass(frozen=True)(cls)
     if out.__doc__:  # python -OO has none
         wrap = textwrap.TextWrapper(100, initial_indent=" " * 4, subsequent_indent=" " * 8, break_on_hyphens=False)
-        lines = [wrap.fill(described(field)) for field in declared(out)]
+        lines = [wrap.fill(describe_field(field)) for field in declared(out)]
         out.__doc__ = "\n".join([inspect.cleandoc(out.__doc__), "", "Args:", *lines])
     fields = dataclasses.fields(out)  # type: ignore[arg-type]
     leaves = [f.name for f in fields if not f.metadata.get("static")]

@@ -20,7 +20,7 @@ METRES_PER_UNIT = (1e-3, 1e4)
 PROJECTION = "LASF_Projection"
 WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS = 2112, 4224, 34735, 34736, 34737
 """User and numbers of the records of a LAS file that state its CRS: LAS 1.4 R15 section 3, and the WKT 2 of PDAL."""
-STATED = tuple((PROJECTION, number) for number in (WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS))
+CRS_RECORDS = tuple((PROJECTION, number) for number in (WKT, WKT_2, GEOKEYS, _DOUBLES, _TEXTS))
 """Keys of these records."""
 ELLIPSOIDAL = "ellipsoidal height"
 _MODEL, _GEOGRAPHIC, _PROJECTED, _CONVERSION, _METHOD, _LINEAR = 1024, 2048, 3072, 3074, 3075, 3076
@@ -60,7 +60,7 @@ class Units:
         return f"{self.name} (xy x {self.xy:.10g}, z x {self.z:.10g} m)"
 
 
-UNITS = {
+NAMED_UNITS = {
     "m": Units(1.0, 1.0, "metre"),
     "ft": Units(0.3048, 0.3048, "foot"),
     "us-ft": Units(1200 / 3937, 1200 / 3937, "US survey foot"),
@@ -73,11 +73,11 @@ def parse_units(text: str | Units) -> Units:
     if isinstance(text, Units):
         return text
     parts = [p.strip().lower() for p in text.split(",")] if isinstance(text, str) else []
-    if not 1 <= len(parts) <= 2 or any(p not in UNITS for p in parts):
+    if not 1 <= len(parts) <= 2 or any(p not in NAMED_UNITS for p in parts):
         raise InputError(
-            f"units {text!r} are not known: use one of {', '.join(UNITS)}, or a pair XY,Z such as 'us-ft,m'"
+            f"units {text!r} are not known: use one of {', '.join(NAMED_UNITS)}, or a pair XY,Z such as 'us-ft,m'"
         )
-    xy, z = UNITS[parts[0]], UNITS[parts[-1]]
+    xy, z = NAMED_UNITS[parts[0]], NAMED_UNITS[parts[-1]]
     return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
 
 
@@ -176,7 +176,7 @@ def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
 
 
 def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> Reference:
-    """From the data of the records :data:`STATED` by their numbers, as far as they can be understood.
+    """From the data of the records :data:`CRS_RECORDS` by their numbers, as far as they can be understood.
 
     Where WKT and GeoTIFF keys contradict one another, the WKT is used if ``wkt``, as LAS 1.4 has it for files whose WKT bit is
     set, and else the keys; where they do not, what says more is used. Warns: about contradictions, and about records that

@@ -27,7 +27,7 @@ class WaterCells:
     z: np.ndarray
 
     @classmethod
-    def of(cls, cloud: PointCloud, level: np.ndarray, corner: Iterable[float], side: float) -> Self:
+    def from_levels(cls, cloud: PointCloud, level: np.ndarray, corner: Iterable[float], side: float) -> Self:
         """Of elevations, local metres, NaN on land: f32[rows, columns], from a corner in the south-west, local metres."""
         row, column = np.nonzero(~np.isnan(level))
         lag = (cloud.origin[:2] - cloud.anchor) * cloud.units.xy + np.fromiter(corner, np.float64)

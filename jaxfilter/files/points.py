@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.echoes import sample
 from ..core.errors import InputError, OutputError
-from ..core.inputs import COLUMNS
+from ..core.inputs import COLUMN_TYPES
 from ..core.process import need_threads
 from ..core.reading import inside
 from ..core.units import PROJECTION, WKT
@@ -190,7 +190,7 @@ def coordinates(points: Points, header: Header, axes: int = 3) -> np.ndarray:
 
 def attributes(points: Points, header: Header) -> dict[str, np.ndarray]:
     """The columns of a cloud, u8[n] each, as far as the point format has them."""
-    found = {name: np.asarray(points[name]) for name in COLUMNS if name != "overlap" or header.point_format >= 6}
+    found = {name: np.asarray(points[name]) for name in COLUMN_TYPES if name != "overlap" or header.point_format >= 6}
     if at := header.upper:  # the rules by which LASzip makes LAS 1.4 of it
         extra = points.array["ExtraBytes"]
         echoes = extra[:, at["extended returns"]]

@@ -14,10 +14,10 @@ from laspy import DecompressionSelection
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError, warn
-from ..core.inputs import COLUMNS, is_laspy
+from ..core.inputs import COLUMN_TYPES, is_laspy
 from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
-from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
+from ..core.units import CRS_RECORDS, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
 from .disk import CHANGED_IN_READING, Bounds, Identity, opened
 from .guard import check_chunks, read_header, reading_errors
@@ -162,10 +162,10 @@ class LasFile:
         reference = reading.stated.of(self.reference, str(path))
         units = linear_units(reference, str(path))
         most = header.count if runs is None or cut is None else int(runs.meeting(cut).points.sum())
-        named = [name for name in COLUMNS if header.point_format >= 6 or name != "overlap" or header.upper]
+        named = [name for name in COLUMN_TYPES if header.point_format >= 6 or name != "overlap" or header.upper]
         with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
-            columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
+            columns: dict[str, Any] = {name: np.empty(most, COLUMN_TYPES[name]) for name in named}
         with header.identity.kept(path, CHANGED_IN_READING):
             for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
                 progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
@@ -214,7 +214,7 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
             stated = {}
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
-                if record.key in STATED and size <= _LARGEST_CRS:
+                if record.key in CRS_RECORDS and size <= _LARGEST_CRS:
                     file.seek(record.payload)
                     stated[record.key[1]] = file.read(size)
         for remark in header.remarks():

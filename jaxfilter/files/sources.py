@@ -19,7 +19,7 @@ from ..core.echoes import sample
 from ..core.errors import InputError, warn
 from ..core.frame import ends
 from ..core.reading import Reading
-from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
+from ..core.units import NAMED_UNITS, NOTHING, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds, Identity
 from .guard import reading_errors
 from .header import Header
@@ -66,7 +66,7 @@ class Source:
     count: int
     z: tuple[float, float] = (math.nan, math.nan)
     wkt: str | None = None
-    units: Units = UNITS["m"]
+    units: Units = NAMED_UNITS["m"]
     point_format: int | None = None
     date: str | None = None
     identity: str = ""

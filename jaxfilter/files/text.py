@@ -23,7 +23,7 @@ import numpy as np
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError
-from ..core.inputs import COLUMNS, LARGEST
+from ..core.inputs import COLUMN_TYPES, LARGEST
 from ..core.reading import Reading, inside
 from ..core.units import check_lengths, sampled
 from .disk import CHANGED_IN_READING, CHANGED_SINCE, Bounds, Identity
@@ -209,7 +209,7 @@ class _Lines(NamedTuple):
                 raise InputError(
                     f"{self.place(row)}: {name} is {column[row]:g}; whole numbers from 0 to {most} are needed"
                 )
-            columns[name] = column.astype(COLUMNS.get(name, bool))
+            columns[name] = column.astype(COLUMN_TYPES.get(name, bool))
         if "label" in columns:
             columns["reference"] = ~columns.pop("label")
         return np.column_stack([values[axis] for axis in "xyz"]), columns

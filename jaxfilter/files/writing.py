@@ -14,9 +14,9 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
-from ..core.inputs import COLUMNS
+from ..core.inputs import COLUMN_TYPES
 from ..core.result import FilterResult
-from ..core.units import GEOKEYS, STATED, WKT, for_outputs, geokeys
+from ..core.units import CRS_RECORDS, GEOKEYS, WKT, for_outputs, geokeys
 from . import copc
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
@@ -291,7 +291,7 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
 def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
     """Number and data of the record that states the CRS of a cloud whose file states none: WKT where LAS knows it, and else the
     EPSG codes as GeoTIFF keys."""
-    if cloud.crs is None or any(record.key in STATED for record in (*header.vlrs, *header.evlrs)):
+    if cloud.crs is None or any(record.key in CRS_RECORDS for record in (*header.vlrs, *header.evlrs)):
         return None
     if (crs := for_outputs(cloud.crs)) is None:
         return None
@@ -322,7 +322,7 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
 
 def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
     """Points of format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
-    known = {name: values for name in COLUMNS if (values := getattr(cloud, name)) is not None}
+    known = {name: values for name in COLUMN_TYPES if (values := getattr(cloud, name)) is not None}
     if isinstance(cloud.source, TextFile):
         known = cloud.source.columns | known
     done = 0
@@ -334,7 +334,7 @@ def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Po
         points.return_number = points.number_of_returns = np.ones(
             len(xyz), np.uint8
         )  # the only echo, where nothing is said
-        for name in COLUMNS & known.keys():
+        for name in COLUMN_TYPES & known.keys():
             points[name][:] = known[name][rows]
         yield points
 

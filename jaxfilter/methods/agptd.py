@@ -12,12 +12,13 @@ from ..engines.tin.growth import Growth, Mirror, Network, Outliers
 from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
 from ..steps.outlier_filter import OutlierFate, OutlierRadius
 from ..steps.outliers import bar_outliers
-from ..steps.tin_filter import TerrainAngle, surrounded
+from ..steps.tin_filter import surrounded
 from .papers import bibtex
+from .ptd import PTD
 
 
 @filter_params
-class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
+class AGPTD(OutlierRadius, OutlierFate, PTD):
     """Adaptive grid-based progressive TIN densification.
 
     J. Zheng, M. Xiang, T. Zhang, J. Zhou (2024): An improved adaptive grid-based progressive triangulated irregular
@@ -45,12 +46,6 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     True
     """
 
-    max_angle: float = param(
-        "a point is ground only if its angle to the facet is at most this", "theta > 0 and < 90 degrees", default=15.0
-    )
-    max_distance: float = param(
-        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.4
-    )
     seed_cell: float = static(
         "the cells of the first grid level have this size; it must be larger than any building",
         "s_pri > 0 m",
@@ -75,19 +70,13 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
         default="constant",
         choices=("constant", "steepest_cell"),
     )
-    refresh_border: bool = static("the simulated border points follow the ground as it grows", default=True)
     neighbours: int = static(
         "a point is no seed if its elevation is unlike that of this many neighbours; 0 = no test",
         "k >= 0 and <= 4096",
         default=0,
     )
-    _: dataclasses.KW_ONLY
-    radius: float = static(
-        "the outlier test counts the points within this distance; 0 = no test", "r >= 0 m", default=6.0
-    )
-    min_neighbours: int = static(
-        "a point is no seed if it has fewer neighbours than this within the radius", "num >= 1 and <= 4096", default=4
-    )
+    radius: float = 6.0
+    min_neighbours: int = 4
 
     BIBTEX: ClassVar[str] = bibtex("zheng2024improved")
     PRESETS: ClassVar[dict[str, Preset]] = {
@@ -150,4 +139,4 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     def growth(self, network: Network) -> Growth:
         """Points are mirrored over facets steeper than the limit, or than the steepest cell of the seeds."""
         mirror = Mirror(network.info["terrain_angle"])
-        return dataclasses.replace(super().growth(network), mirror=mirror, border_follows=self.refresh_border)
+        return dataclasses.replace(super().growth(network), mirror=mirror)

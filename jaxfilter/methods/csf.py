@@ -28,7 +28,7 @@ from .papers import bibtex
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
 START = 0.05  # metres between the lowest point and the cloth at the start
 REST = 0.005  # metres per step; at rest when no particle moves as far
-MARGIN = 2  # nodes beyond the points on every side
+MARGIN_NODES = 2  # nodes beyond the points on every side
 MAX_NODES = 100_000_000  # about 6 GB
 _WORK, _WORK_PER_POINT = 2_500_000_000, 640_000
 """Particles times steps for few points, some seconds of a processor, and for each point of many."""
@@ -118,7 +118,7 @@ class CSF(Filter):
     def halo(self) -> float:
         """Twice the width of the widest hole that the cloth bridges, with the margin, so that what holds it there hangs as in the
         whole; metres. Membranes of cloth over voids reach further."""
-        return 2.0 * self.resolution * (_HOLE + MARGIN)
+        return 2.0 * self.resolution * (_HOLE + MARGIN_NODES)
 
     def lattice(self) -> float:
         """The distance between particles."""
@@ -141,15 +141,15 @@ class CSF(Filter):
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         cell = self.resolution
         grid = grid_over(points.xyz, cell, points.offset(cell), name="CSF(resolution)", limit=MAX_NODES)
-        first = (grid.x0 - MARGIN * cell, grid.y0 - MARGIN * cell)
+        first = (grid.x0 - MARGIN_NODES * cell, grid.y0 - MARGIN_NODES * cell)
         high = points.xyz[:, :2].max(axis=0)
-        columns, rows = (int((float(h) - o) / cell + 1e-6) + MARGIN for h, o in zip(high, first, strict=True))
+        columns, rows = (int((float(h) - o) / cell + 1e-6) + MARGIN_NODES for h, o in zip(high, first, strict=True))
         if rows * columns * self.iterations > max(_WORK, _WORK_PER_POINT * len(points)):
             raise InputError(
                 f"CSF(resolution={cell:g}, iterations={self.iterations}): so many steps of {rows:,} x {columns:,} particles for "
                 f"{len(points):,} points: use a coarser cloth or fewer steps"
             )
-        extent, shape = (rows, columns), padded_shape((rows, columns), points.least_shape(cell, 2 * MARGIN))
+        extent, shape = (rows, columns), padded_shape((rows, columns), points.least_shape(cell, 2 * MARGIN_NODES))
 
         progress(0.0, "outliers")
         barred = self._barred(points, workers)

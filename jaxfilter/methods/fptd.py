@@ -110,7 +110,8 @@ class FPTD(OutlierRadius, VertexSpacing):
         progress(0.0, "outliers")
         outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
-        seeds = lowest_per_window(points, self.window, self.stride, outliers.barred)
+        name = f"FPTD(window={self.window!r}, stride={self.stride!r})"
+        seeds = lowest_per_window(points, self.window, self.stride, outliers.barred, name)
         if self.blocks == "independent":
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             return block_networks(

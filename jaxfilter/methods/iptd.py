@@ -124,7 +124,7 @@ class IPTD(TerrainAngle):
         progress(0.0, "openings")
         potential = self.potential_seeds(points, outliers.barred)
         progress(0.0, "planes")
-        over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
+        over = over_local_planes(points.xyz[potential], self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
         network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
         rule = Rule(max_angle=0.0, signed=1.0, noise_floor=self.noise_floor)

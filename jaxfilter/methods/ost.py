@@ -34,13 +34,13 @@ from ..steps.outliers import low_clusters, lowest_few, pits, scattered
 from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
 from ..steps.seeds import rising, veiled
-from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
+from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
-from ..steps.voids import filled_by, sunk
+from ..steps.voids import fill_from_triangulation, lower_voids
 from ..steps.water import AFLOAT, SURFACE, waters
 from .papers import bibtex
 
-PASSES = 2
+SLOPE_PASSES = 2
 """How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
 FIRST_SLOPE = 0.15
 """That fixed slope, rise over run."""
@@ -48,19 +48,19 @@ LOW_DEPTH = 2.0
 """Few points around a low point are less than so many metres above it, or lower."""
 LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
-RIM = 4.0
+VOID_RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 EDGE = 3
 """Cells along the edge of the data in which a surface is known only where there are points, when decks are looked for."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
-STEEPEST = 80.0
+STEEPEST_ANGLE = 80.0
 """Degrees that the largest angle counts as at most where points lie outside the hull of the ground."""
 TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
-SHEET = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
+SHEET_TOLERANCE = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
 """The tolerance in terms of the thickness of the sheet: the lowest of 100 points lies 2.5 below its middle, the highest above.
 Errors of photographs are mostly shared by neighbours."""
 THINNEST = 0.03
@@ -221,9 +221,9 @@ class OST(Filter):
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
         """As by the spacing, and the sensor. Where it is not airborne lidar, tolerances follow the thickness of its sheet, and
         voids of photographs and of scans from a car are no water at which roofs end."""
-        kind, thickness, sparse = Sensed.of(points)
+        kind, thickness, sparse = SensorFacts.from_points(points)
         own = super().from_points(points, largest_building) | {"sensor": kind}
-        sheet = max(SHEET[kind] * thickness, THINNEST)
+        sheet = max(SHEET_TOLERANCE[kind] * thickness, THINNEST)
         if kind in (MATCHING, MOBILE):
             own["void"] = NO_VOID
         if kind in (MATCHING, DRONE):
@@ -245,7 +245,7 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
-        crowd, every = Crowd.of(points), points
+        crowd, every = Crowd.from_points(points), points
         points = points if crowd is None else crowd.points
         scene = self.scene(points, spacing, workers, progress)
         objects, drop, bare, landscape = self.objects(scene)
@@ -283,16 +283,16 @@ class OST(Filter):
             ground.change(limits.then._replace(distance=distance))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
-            scatter = Scatter.of(ground.tin)
+            scatter = Scatter.from_vertices(ground.tin)
             whole = points.cloud.whole
-            spread = scatter.of_scene(ground.tin) if whole is None or whole.scatter is None else whole.scatter
+            spread = scatter.deviation(ground.tin) if whole is None or whole.scatter is None else whole.scatter
             scene_limit, local_limit = float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
             if self.sensor != AIRBORNE:
                 scene_limit = max(scene_limit, height)
             pruned = prune(ground, scatter, scene_limit, local_limit, np.where(plants, limits.out, np.float32(np.inf)))
             if points.kept is None:  # a sweep asks for no more than what is ground
                 ground.finish(ground.todo)
-                scatter = scatter.of_all(ground)
+                scatter = scatter.at_all_points(ground)
             labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
             if crowd is not None:
                 labels, seeds, own = crowd.labels(ground, low, LOW_DEPTH), crowd.rows[seeds], crowd.own
@@ -326,7 +326,7 @@ class OST(Filter):
         height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
         tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
         angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
-        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST_ANGLE))))
         relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
         distance = np.float32(self.max_distance * height) + relief * around
         out = np.float32(OUT * spacing) + np.float32(self.scaling * spacing) * around
@@ -350,8 +350,8 @@ class OST(Filter):
             cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
-        z, inside = filled_by(
-            triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest
+        z, inside = fill_from_triangulation(
+            triangulated(points.xyz[lowest], workers), cells, math.ceil(VOID_RIM / self.cell - 1e-6), longest
         )
         progress(0.2, "openings")
         return Openings(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
@@ -367,7 +367,7 @@ class OST(Filter):
         edge = ~scipy.ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
         near = fill_nearest(scene.cells.lowest, scene.cells.seen, scene.cells.valid)
         z = np.where(edge & ~segments.seen, np.asarray(near)[inner], segments.z)
-        z = sunk(z, segments.seen | ~inside, self.cell, spacing)
+        z = lower_voids(z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)
         others = objects[inner] & np.isnan(deck[inner])
@@ -432,7 +432,7 @@ class OST(Filter):
         surface, seen = (np.ascontiguousarray(np.asarray(a)[:rows, :columns]) for a in (z, cells.seen))
         segments = Segments(surface, inside, seen, self.cell, roofs, (2 * self.window) ** 2)
         objects = steepest > np.float32(FIRST_SLOPE * self.cell)
-        return steepest, segments, Landscape.of(z, cells, objects, float(self.landscape))
+        return steepest, segments, Landscape.from_elevations(z, cells, objects, float(self.landscape))
 
     def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
@@ -443,9 +443,9 @@ class OST(Filter):
         inner = slice(0, rows), slice(0, columns)
         objects, bare = np.zeros(z.shape, bool), np.zeros((rows, columns), bool)
         banked = np.zeros_like(bare)
-        for number in range(PASSES):
+        for number in range(SLOPE_PASSES):
             if number > 0:
-                landscape = Landscape.of(z, cells, objects, float(self.landscape))
+                landscape = Landscape.from_elevations(z, cells, objects, float(self.landscape))
             around = np.asarray(landscape.in_cells())
             limit = np.float32(self.relief) * around
             limit += np.float32(self.slope)
@@ -515,7 +515,7 @@ class Crossings(NamedTuple):
         if np.isnan(self.level).all():
             return None
         x, y, side = (float(v) for v in cells.frame)
-        return WaterCells.of(cloud, self.level, (x, y), side)
+        return WaterCells.from_levels(cloud, self.level, (x, y), side)
 
     def at(self, xyz: np.ndarray, cells: Cells) -> list[np.ndarray]:
         """f32[n] each: elevations of decks, of water, and of water without the shore, at points f32[n, 3]."""

@@ -22,7 +22,7 @@ from ..steps.outliers import bar_outliers
 from ..steps.references import Compared, GroundReferences, NearestReferences, QuadrantReferences
 from ..steps.scaled_planes import PlaneSearch, progressive_planes
 from ..steps.seeds import lowest_seeds, under_canopy
-from ..steps.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
+from ..steps.surfaces import MAX_SURFACE_CELLS, check_openings, look_up, lowest_cells
 from .papers import bibtex
 
 HYPOTHESES = 128  # planes tried per cell
@@ -244,7 +244,7 @@ class PPDF(Filter):
     def _grid(self, points: Points, name: str) -> Grid:
         """The cells whose side is the field of this name."""
         side = getattr(self, name)
-        return grid_over(points.xyz, side, points.offset(side), f"PPDF({name})", MAX_CELLS)
+        return grid_over(points.xyz, side, points.offset(side), f"PPDF({name})", MAX_SURFACE_CELLS)
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
         diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
+import numpy as np
+
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.growth import Growth, Network
+from ..engines.tin.growth import Growth, Network, Outliers
 from ..steps.seeds import lowest_per_cell
 from ..steps.tin_filter import TerrainAngle, surrounded
 from .papers import bibtex
@@ -73,7 +75,11 @@ class PTD(TerrainAngle):
         progress(0.0, "outliers")
         outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
-        seeds = lowest_per_cell(points, self.seed_cell, outliers.barred)
+        name = f"{type(self).__name__}(seed_cell={self.seed_cell!r})"
+        return self.network(points, lowest_per_cell(points, self.seed_cell, outliers.barred, name), outliers)
+
+    def network(self, points: Points, seeds: np.ndarray, outliers: Outliers) -> Network:
+        """The seeds, i64[s], within simulated border points."""
         return surrounded(self, points, seeds, outliers, self.seed_cell)
 
     def growth(self, network: Network) -> Growth:

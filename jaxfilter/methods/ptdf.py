@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import ClassVar
 
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param
 from .papers import bibtex
 from .ptd import PTD
 
@@ -31,12 +30,9 @@ class PTDF(PTD):
     True
     """
 
-    max_distance: float = param(
-        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.5
-    )
+    max_distance: float = 1.5
+    max_rounds: int = 200
     max_below: float = param("a point is rejected if it lies more than this below its facet", "> 0 m", default=0.1)
-    _: dataclasses.KW_ONLY
-    max_rounds: int = static("the growth ends after this many rounds at the latest", ">= 1", default=200)
 
     BIBTEX: ClassVar[str] = bibtex("axelsson2000dem", "cai2023progressive")
     PRESETS: ClassVar[dict[str, Preset]] = {

@@ -115,10 +115,10 @@ class SMRF(GridFilter):
 
     def prepare(self, cells: Cells) -> Opened:
         """Steps 1 to 4, for all slopes at once. Pure."""
-        return self._open(cells, _spanned(cells.lowest, cells.lowest, cells.seen, cells, math.inf)[0].z)
+        return self._open(cells, _span_membrane(cells.lowest, cells.lowest, cells.seen, cells, math.inf)[0].z)
 
     def _open(self, cells: Cells, surface: jax.Array) -> Opened:
-        return _opened(cells, surface, self.reach, most=roomy(self.reach), mesh=self.mesh)
+        return _open_cells(cells, surface, self.reach, most=roomy(self.reach), mesh=self.mesh)
 
     def surface(self, prepared: Opened) -> Surface:
         """Step 5, the provisional terrain. Pure."""
@@ -127,7 +127,7 @@ class SMRF(GridFilter):
     def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts = prepared
-        terrain, objects = _spanned(
+        terrain, objects = _span_membrane(
             surface, steepest, bare, cells, slope
         )  # as in prepare(), so that it is compiled once
         return terrain._replace(counts={**counts, "object_cells": objects})
@@ -142,7 +142,7 @@ class SMRF(GridFilter):
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
-        return _held(surface, xyz, self.threshold, self.scaling)
+        return _test_points(surface, xyz, self.threshold, self.scaling)
 
     def _soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
@@ -185,7 +185,7 @@ class Opened(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames=("most", "mesh"))
-def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
+def _open_cells(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
     """Steps 2 to 4, of the surface without empty cells. ``most``: the largest ``reach`` that this compilation serves."""
     valid, cell = jnp.asarray(cells.valid), cells.frame[2]
     low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
@@ -201,14 +201,14 @@ def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int,
 
 
 @jax.jit
-def _held(surface: Surface, xyz: jax.Array, threshold: jax.Array | float, scaling: jax.Array | float) -> Heights:
+def _test_points(surface: Surface, xyz: jax.Array, threshold: jax.Array | float, scaling: jax.Array | float) -> Heights:
     height, slope = surface.at(xyz)
     tolerance = threshold + scaling * slope
     return Heights(height, slope, height - tolerance, -height - tolerance)
 
 
 @jax.jit
-def _spanned(
+def _span_membrane(
     z: jax.Array, steepest: jax.Array, bare: jax.Array, cells: Cells, slope: jax.Array | float
 ) -> tuple[Surface, jax.Array]:
     """The membrane through the cells that are ``bare`` and no objects, and the number of objects, net included."""

@@ -170,7 +170,8 @@ class STIN(OutlierFate, SlopeMirroring):
         cells = [self.seed_cell]
         while cells[-1] > self.final_cell:
             cells.append(max(cells[-1] / 2.0, self.final_cell))
-        return [grid_over(points.xyz, c, points.offset(c), name=f"cell of STIN with {c:g} m") for c in cells]
+        names = ["STIN(seed_cell)", *len(cells[1:]) * [f"STIN(final_cell={self.final_cell!r}): cell"]]
+        return [grid_over(points.xyz, c, points.offset(c), name) for c, name in zip(cells, names, strict=True)]
 
     def lowered(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
         """The limits, or where it is less the 0.97 quantile of the ground points' distances f32[g] and angles f32[g]."""

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from ..core.errors import ParameterError
-from ..core.filter import check_resources, watched
+from ..core.filter import check_resources, watch
 from ..core.points import Points
 from ..engines.grid.cells import padded_length
 from .grid_filter import CELL_BYTES, POINT_BYTES, check_width
@@ -157,14 +157,14 @@ class Batch:
         )
 
 
-def stacked(
+def stack_clouds(
     filter_: Any, taken: list[Points], ready: list[tuple[Any, ...]], names: tuple[str, ...] | None, blocks: int
 ) -> Batch:
     """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
     groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)
     order = {c: (b, place) for b, group in enumerate(groups) for place, c in enumerate(group)}
-    made = tuple(_block([ready[c] for c in group]) for group in groups)
-    return Batch(filter_, made, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
+    padded = tuple(_block([ready[c] for c in group]) for group in groups)
+    return Batch(filter_, padded, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
 
 
 def _block(clouds: list[tuple[Any, ...]]) -> Block:
@@ -228,7 +228,7 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
     def prepare(one: Any, cells: Cells) -> Any:
         return lax.optimization_barrier(one.prepare(cells.checked()))
 
-    (one, early), (other, late) = watched(filter_), watched(filter_)
+    (one, early), (other, late) = watch(filter_), watch(filter_)
     jax.eval_shape(lambda cells: other.surface(prepare(one, cells)), jax.tree.map(lambda leaf: leaf[0], block.cells))
 
     def of_cloud(cloud: Block) -> jax.Array:
@@ -245,10 +245,10 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
             one = dataclasses.replace(filter_, **fields)
             return jnp.where(cloud.real, one._soft(ready(one, fields), cloud.xyz, width), 0)
 
-        def held(fields: Any, made: Any) -> jax.Array:
+        def classify(fields: Any, model: Any) -> jax.Array:
             # Those of the surface would be the same, but places in the grid would be found anew for each set.
-            made = made._replace(extent=cloud.cells.extent, frame=cloud.cells.frame)
-            ground = cloud.real & (dataclasses.replace(filter_, **fields).test(made, cloud.xyz).margin <= 0)
+            model = model._replace(extent=cloud.cells.extent, frame=cloud.cells.frame)
+            ground = cloud.real & (dataclasses.replace(filter_, **fields).test(model, cloud.xyz).margin <= 0)
             if what == "ground":
                 return ground
             kinds = cloud.counted & cloud.truth, cloud.counted & ~cloud.truth
@@ -256,14 +256,14 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
             return jnp.stack([hits, cloud.totals - hits], axis=-1)
 
         def after(last: Any, given: Any) -> tuple[Any, jax.Array]:
-            (key, fields), (other, made) = given, last
-            made = lax.cond((key == other).all(), lambda: made, lambda: surface(fields))
-            return (key, made), held(fields, made)
+            (key, fields), (other, model) = given, last
+            model = lax.cond((key == other).all(), lambda: model, lambda: surface(fields))
+            return (key, model), classify(fields, model)
 
         if what == "soft":
             return lax.map(lambda given: soft(given[1]), (keys, shared))
         if at_once > 1:
-            return lax.map(lambda given: held(given[1], surface(given[1])), (keys, shared), batch_size=at_once)
+            return lax.map(lambda given: classify(given[1], surface(given[1])), (keys, shared), batch_size=at_once)
         empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(lambda: surface({})))
         return lax.scan(after, (jnp.full(keys.shape[1], jnp.nan), empty), (keys, shared))[1]
 

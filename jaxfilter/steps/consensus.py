@@ -13,16 +13,16 @@ from jax import lax
 from ..core.compilation import bucket
 from .planes import Planes, gradient_of
 
-WIDTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
+ROW_LENGTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
 _Best = tuple[jax.Array, jax.Array, jax.Array]  # score, point and normal of the best plane of every cell
 
 
 class CellRows(NamedTuple):
-    """Points sorted by cell, and cut into rows of :data:`WIDTH`; padded to few sizes.
+    """Points sorted by cell, and cut into rows of :data:`ROW_LENGTH`; padded to few sizes.
 
     Attributes:
-        xyz: f32[rows, WIDTH, 3], metres from the first point of the cell.
-        mask: bool[rows, WIDTH], False for padding.
+        xyz: f32[rows, ROW_LENGTH, 3], metres from the first point of the cell.
+        mask: bool[rows, ROW_LENGTH], False for padding.
         cell: i32[rows], the cell of every row.
         row: i32[cells], the first row of every cell.
         points: i32[cells], points per cell; 0 for padding.
@@ -53,12 +53,12 @@ class Consensus(NamedTuple):
 
 def rows_of(points: int) -> int:
     """How many rows to compute at a time in a cloud of so many points."""
-    return min(bucket(2 * points // WIDTH, 64), 4096)
+    return min(bucket(2 * points // ROW_LENGTH, 64), 4096)
 
 
 def batches(start: np.ndarray, rows: int) -> list[slice]:
     """Cells cut into runs of at most ``rows`` rows each; a larger cell stands alone. ``start``: i64[cells + 1]."""
-    last = np.cumsum(-(-np.diff(start) // WIDTH))
+    last = np.cumsum(-(-np.diff(start) // ROW_LENGTH))
     cuts = [0]
     while cuts[-1] < len(last):
         before = last[cuts[-1] - 1] if cuts[-1] else 0
@@ -72,15 +72,15 @@ def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> CellRows:
     The points of cell i are start[i] to start[i + 1], i64[cells + 1]; no cell is empty.
     """
     count = np.diff(start)
-    own = -(-count // WIDTH)
+    own = -(-count // ROW_LENGTH)
     row = np.cumsum(own) - own
     cell = np.repeat(np.arange(len(count)), own)
-    first = start[cell] + WIDTH * (np.arange(len(cell)) - row[cell])
-    at = first[:, None] + np.arange(WIDTH)
+    first = start[cell] + ROW_LENGTH * (np.arange(len(cell)) - row[cell])
+    at = first[:, None] + np.arange(ROW_LENGTH)
     size = bucket(len(cell), rows)
-    mask = np.zeros((size, WIDTH), bool)
+    mask = np.zeros((size, ROW_LENGTH), bool)
     mask[: len(cell)] = at < start[cell + 1][:, None]
-    local = np.zeros((size, WIDTH, 3), np.float32)
+    local = np.zeros((size, ROW_LENGTH, 3), np.float32)
     local[: len(cell)] = xyz[np.minimum(at, len(xyz) - 1)] - xyz[start[cell]][:, None]
     rows_cell = np.full(size, size - 1, np.int32)
     first_row, points = np.zeros(size, np.int32), np.zeros(size, np.int32)
@@ -122,7 +122,7 @@ def consensus_planes(
 
     def hypothesis(best: _Best, draw: jax.Array) -> tuple[_Best, None]:
         pick = jnp.minimum((draw[None] * points[:, None].astype(draw.dtype)).astype(jnp.int32), points[:, None] - 1)
-        a, b, c = jnp.moveaxis(xyz[row[:, None] + pick // WIDTH, pick % WIDTH], 1, 0)
+        a, b, c = jnp.moveaxis(xyz[row[:, None] + pick // ROW_LENGTH, pick % ROW_LENGTH], 1, 0)
         normal = jnp.cross(b - a, c - a)
         length = jnp.linalg.norm(normal, axis=1)
         normal = normal * (jnp.sign(normal[:, 2]) / jnp.maximum(length, 1e-9))[:, None]

@@ -38,7 +38,7 @@ class Crowd(NamedTuple):
     own: np.ndarray
 
     @classmethod
-    def of(cls, points: Points) -> Crowd | None:
+    def from_points(cls, points: Points) -> Crowd | None:
         """None where all points stand for themselves, else one of each square of 0.25 m: from the middle of its lowest sheet,
         since the lowest of many lies below the ground. All do where these lie on a line.
 

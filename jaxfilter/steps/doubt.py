@@ -11,7 +11,7 @@ import numpy as np
 from ..core.compilation import bucket
 from ..core.filter import Labels
 from ..engines.chunks import in_chunks
-from .doubt_model import MODEL
+from .doubt_model import DOUBT_MODEL
 from .pruning import Scatter
 
 FEATURES = (
@@ -85,5 +85,5 @@ def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
     At most one half: of two labels the method takes the more likely one.
     """
-    other, own = (evidence @ MODEL[:, 1:].T + MODEL[:, 0]).T
+    other, own = (evidence @ DOUBT_MODEL[:, 1:].T + DOUBT_MODEL[:, 0]).T
     return np.minimum(1 / (1 + np.exp(-np.where(ground, own, other))), 0.5).astype(np.float32)

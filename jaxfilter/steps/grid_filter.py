@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.compilation import in_turn
 from ..core.errors import check_positive
-from ..core.filter import Filter, Labels, alike, ground_each, values_of, watched
+from ..core.filter import Filter, Labels, ground_each, group_equal, values_of, watch
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -212,9 +212,9 @@ def _ground_each(
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Sets that agree in what cells and ``prepare`` read share them, and those that ``_deciding`` calls alike the surface; each
     is then held against it by the program that ``classify`` runs, since another one would round differently."""
-    one, read = watched(filter_)
+    one, read = watch(filter_)
     prepared = one.prepare(one.cells(points, one._barred(points, workers)))
-    same, *others = alike(values_of(sets, read))
+    same, *others = group_equal(values_of(sets, read))
     for rest in others:
         again = [sets[number] for number in rest]
         for number, ground in _ground_each(again[0], points, again, key=key, workers=workers, memory=memory):
@@ -224,17 +224,19 @@ def _ground_each(
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
     threads = workers or os.cpu_count() or 1
 
-    def made(numbers: list[int]) -> tuple[Surface, set[str]]:
-        first, read = watched(some[numbers[0]])
+    def make_surface(numbers: list[int]) -> tuple[Surface, set[str]]:
+        first, read = watch(some[numbers[0]])
         return first.surface(prepared), read
 
-    def passed(job: tuple[Surface | None, int]) -> np.ndarray:
+    def classify_set(job: tuple[Surface | None, int]) -> np.ndarray:
         one = some[job[1]]
         return _passed(job[0] or one.surface(prepared), points.xyz, one)
 
-    for numbers, (surface, read) in in_turn(made, alike(filter_._deciding(prepared, some)), max(1, min(threads, room))):
+    for numbers, (surface, read) in in_turn(
+        make_surface, group_equal(filter_._deciding(prepared, some)), max(1, min(threads, room))
+    ):
         shared = surface if read.isdisjoint(filter_.TESTED) else None
-        for (_, number), ground in in_turn(passed, [(shared, number) for number in numbers], threads):
+        for (_, number), ground in in_turn(classify_set, [(shared, number) for number in numbers], threads):
             yield same[number], ground
 
 

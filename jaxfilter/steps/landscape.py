@@ -32,7 +32,7 @@ class Landscape:
     block: int
 
     @classmethod
-    def of(cls, z: np.ndarray, cells: Cells, objects: np.ndarray, sigma: float) -> Landscape:
+    def from_elevations(cls, z: np.ndarray, cells: Cells, objects: np.ndarray, sigma: float) -> Landscape:
         """From elevations f32[rows, columns] without the cells that are ``objects``, bool[rows, columns], or have no points.
 
         ``sigma``: standard deviation of the weights, metres.

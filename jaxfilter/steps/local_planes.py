@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
-
-from ..core.grid import lattice_over
-from .quadrants import Buckets
+from scipy.spatial import cKDTree
 
 TRANSLATIONS = ("lowest", "none")
 """Where the plane is moved, without turning: down to the lowest seed of the neighbourhood, or nowhere."""
-_SEEDS_AT_ONCE = 8192
-_CELLS = 4
-"""So many cells of the search are about as wide as the square of as many seeds as a plane takes."""
+_DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
+_TIES = 32  # on a lattice fewer seeds than this are as near as the last one
+_PAIRS = 1 << 19  # seeds times neighbours at a time
 
 
-def over_local_planes(
-    xyz: np.ndarray, cell: float, k: int, translation: str = "lowest", workers: int | None = None
-) -> np.ndarray:
+def over_local_planes(xyz: np.ndarray, k: int, translation: str = "lowest", workers: int | None = None) -> np.ndarray:
     """f32[s]: metres, along the normal, of each seed over the plane of its neighbourhood.
 
     A plane z = a x + b y + c is fitted by least squares to the ``k`` seeds nearest in x and y, the seed itself included, and
@@ -29,27 +21,31 @@ def over_local_planes(
 
     Args:
         xyz: f32[s, 3], local metres, at positions of their own.
-        cell: metres, of the cells that seeds are the lowest points of.
         translation: one of :data:`TRANSLATIONS`.
     """
-    from .nearest_planes import over_planes  # imports Numba, which takes longer than all the rest
-
+    over = np.empty(len(xyz), np.float32)
     if len(xyz) == 0:
-        return np.zeros(0, np.float32)
-    side = 2.0 ** max(math.ceil(math.log2(cell)), round(math.log2(cell * math.sqrt(k) / _CELLS)))
-    grid = lattice_over(xyz, side)
-    buckets = Buckets.of(xyz, np.arange(len(xyz)), grid.flat(xyz), grid.shape)
-    found = np.empty(len(xyz), np.float32)
-    few, corner = min(k, len(xyz)), (grid.x0, grid.y0)
-
-    def part(first: int) -> None:
-        last = min(first + _SEEDS_AT_ONCE, len(xyz))
-        over_planes(
-            buckets.xy, buckets.start, grid.shape, corner, side, few, translation == "lowest", first, last, found
-        )
-
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        list(pool.map(part, range(0, len(xyz), _SEEDS_AT_ONCE)))
-    out = np.empty(len(xyz), np.float32)
-    out[buckets.row] = found
-    return out
+        return over
+    xyz, k, asked = xyz.astype(np.float64), min(k, len(xyz)), min(k + _TIES, len(xyz))
+    tree, step = cKDTree(xyz[:, :2]), max(1, _PAIRS // asked)
+    for first in range(0, len(xyz), step):
+        part = slice(first, first + step)
+        near = tree.query(xyz[part, :2], np.arange(1, asked + 1), workers=workers or -1)[1]
+        x, y, z = np.moveaxis(xyz[near] - xyz[part, None], 2, 0)
+        square = x * x + y * y
+        taken = square <= square[:, k - 1, None]
+        x, y, count = x * taken, y * taken, taken.sum(axis=1)
+        # sums are exact, since coordinates are multiples of a quantum: the order of the seeds decides nothing
+        sx, sy, sz = x.sum(axis=1), y.sum(axis=1), (z * taken).sum(axis=1)
+        xx, xy, yy, xz, yz = ((u * v).sum(axis=1) for u, v in ((x, x), (x, y), (y, y), (x, z), (y, z)))
+        xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
+        xz, yz = xz - sx * sz / count, yz - sy * sz / count
+        determinant = xx * yy - xy * xy
+        divisor = np.where((count >= 3) & (determinant > _DEGENERATE * (xx + yy) ** 2), determinant, np.inf)
+        a, b = (yy * xz - xy * yz) / divisor, (xx * yz - xy * xz) / divisor
+        level = (sz - a * sx - b * sy) / count  # of the plane at the seed, above the seed
+        if translation == "lowest":
+            residual = z - level[:, None] - a[:, None] * x - b[:, None] * y
+            level += np.where(taken, residual, np.inf).min(axis=1)
+        over[part] = -level / np.sqrt(1 + a * a + b * b)
+    return over

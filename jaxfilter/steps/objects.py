@@ -58,7 +58,7 @@ class Parts(NamedTuple):
     walls: np.ndarray
 
     @classmethod
-    def of(cls, z: np.ndarray, inside: np.ndarray, seen: np.ndarray, step: float, least: float) -> Parts:
+    def from_elevations(cls, z: np.ndarray, inside: np.ndarray, seen: np.ndarray, step: float, least: float) -> Parts:
         """Cells ``inside`` joined over edges where ``z``, f32[rows, columns], differs by less than ``step``, metres; ``least``
         cells at least. ``seen``: bool[rows, columns], cells with points."""
         from ..engines.grid.shapes import falls, segments  # imports Numba
@@ -83,7 +83,7 @@ class Segments:
         self.z, self.inside, self.seen, self.cell, self.roofs = z, inside, seen, cell, roofs
         self.least, self.largest = roofs.area / cell**2, largest / cell**2
         steps = roofs.step, *(share * roofs.drop for share in LEVELS)
-        self.segments, *self.groups = (Parts.of(z, inside, seen, step, self.least) for step in steps)
+        self.segments, *self.groups = (Parts.from_elevations(z, inside, seen, step, self.least) for step in steps)
 
     def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.

@@ -13,7 +13,7 @@ from .surfaces import Cells
 
 VOID = 4.0
 """Metres without points between rock and what is beneath it, at least."""
-SHEET = 0.6
+SHEET_SPREAD = 0.6
 """Metres, standard deviation at most, that points of rock lie from their plane in a cell. Leaves scatter by more."""
 
 
@@ -41,7 +41,7 @@ def overhangs(xyz: np.ndarray, cells: Cells, bare: np.ndarray, step: float, reac
     low[known], high[known] = z[start[known]], np.maximum.reduceat(z, number[first])
     above, sheet = np.zeros((2, rows * columns), bool)
     above[cell[void]] = True
-    sheet[known] = spreads(xyz[own[upper]].astype(np.float64), cell[upper]) < SHEET
+    sheet[known] = spreads(xyz[own[upper]].astype(np.float64), cell[upper]) < SHEET_SPREAD
     low, high, above, sheet = (np.pad(values.reshape(rows, columns), 1) for values in (low, high, above, sheet))
     rock = np.pad(bare, 1) & ~above
     for _ in range(reach):

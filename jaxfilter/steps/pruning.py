@@ -11,7 +11,7 @@ from ..engines.tin.triangulation import Tin
 
 VEIL = 2.0
 """Points that are no ground for each vertex, above which the ground is veiled."""
-AROUND = 3
+EDGES_AROUND = 3
 """Edges from a vertex to the farthest of those around it."""
 PASSES = 3
 """Times that vertices are judged where plants hide the ground: beside high plants those that are less high do not stick out."""
@@ -31,11 +31,11 @@ class Scatter(NamedTuple):
     roughness: np.ndarray
 
     @classmethod
-    def of(cls, tin: Tin) -> Scatter:
+    def from_vertices(cls, tin: Tin) -> Scatter:
         """Measure all vertices of a triangulation with threads at work."""
-        return cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)).again(tin, tin.vertex)
+        return cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)).measure_again(tin, tin.vertex)
 
-    def again(self, tin: Tin, among: np.ndarray) -> Scatter:
+    def measure_again(self, tin: Tin, among: np.ndarray) -> Scatter:
         """With the vertices ``among``, bool[m], measured once more."""
         from ..engines.tin.rings import residuals, roughness  # imports Numba
 
@@ -46,7 +46,7 @@ class Scatter(NamedTuple):
         list(tin.pool.map(lambda part: roughness(*tables, part, *out), parts))
         return out
 
-    def of_all(self, ground: GroundTin) -> Scatter:
+    def at_all_points(self, ground: GroundTin) -> Scatter:
         """Over the triangulation as it is: points that are no vertex have no residual, and the mean roughness at the corners of
         their facet."""
         around, tin = self.roughness.copy(), ground.tin
@@ -56,14 +56,15 @@ class Scatter(NamedTuple):
         around[rows] = around[tin.corners(tin.where[rows])].mean(axis=1)
         return Scatter(np.where(tin.vertex, self.residual, 0), around)
 
-    def of_scene(self, tin: Tin) -> float:
+    def deviation(self, tin: Tin) -> float:
         """Metres: the standard deviation of the residuals of vertices, as 1.4826 times their median absolute value."""
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
 
 def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndarray:
     """f32[m]: metres by which vertices stick out more than those beside them, and more than ``least``, f32[m], metres, where
-    more than :data:`VEIL` points for each vertex at most :data:`AROUND` edges away are no ground. Elsewhere zero or less."""
+    there are more than :data:`VEIL` points that are no ground for each vertex at most :data:`EDGES_AROUND` edges away. Elsewhere
+    zero or less."""
     from ..engines.tin.rings import surroundings  # imports Numba
 
     tin, over = ground.tin, scatter.residual - np.maximum(least, scatter.roughness)
@@ -74,7 +75,7 @@ def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndar
     tin.locate(others)
     above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(over)).astype(np.float32)
     means = np.empty(len(nodes), np.float32)
-    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, above, means)
+    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, EDGES_AROUND, above, means)
     over[nodes[means <= VEIL]] = 0
     return over
 
@@ -98,5 +99,5 @@ def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, least
         ground.drop(drop)
         if left == 1 or len(drop) == 0 or not np.isfinite(least).any():
             break
-        scatter, over = scatter.again(tin, np.isfinite(least)), np.zeros_like(over)
+        scatter, over = scatter.measure_again(tin, np.isfinite(least)), np.zeros_like(over)
     return dropped

@@ -24,27 +24,26 @@ _LEVEL = 0.3  # metres above a slope that count as on it
 _STEPS = 3  # cells to each side of a point that hold those within the radius of :func:`rising`
 
 
-def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray) -> np.ndarray:
+def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray, name: str = "") -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of windows that slide over the cloud (Li et al. 2021, Sec. II-C).
 
     Args:
         window: side of the square window, metres; stride: its step, metres, at most ``window``.
         barred: bool[m], points that must not be seeds. A window without others has no seed.
+        name: of both sizes in messages, such as ``"PTD(seed_cell=60.0)"``.
 
     Windows start at the multiple of the stride, counted from the cloud's anchor, that lies at or south-west of all points.
     Of equally low points the westernmost is taken, of these the southernmost.
     Raises: ParameterError, InputError if window and stride have too small a common measure for the extent.
     """
     corner, high = np.array(points.lattice_corner(stride)), points.extent[1]
-    layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride)
+    layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride, name)
     if layout.blocks[0] * layout.blocks[1] > most_cells(len(points)):
         rows, columns = layout.blocks
-        sizes = f"window={window:g} and stride={stride:g} m divide into {layout.block:g} m, which makes"
-        hint = "let the stride divide the window"
-        if window == stride:
-            sizes, hint = f"cells of {window:g} m for the seeds make", "use larger ones"
+        hint = "use larger ones" if window == stride else "let the stride divide the window"
         raise InputError(
-            f"{sizes} {rows} x {columns} cells over this extent: {hint}, or remove stray points far from the rest"
+            f"{name or 'window, stride'}: the seeds need {rows} x {columns} cells of {layout.block:g} m over this extent: "
+            f"{hint}, or remove stray points far from the rest"
         )
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
     frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)
@@ -55,12 +54,12 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     return np.sort(found[number[number < len(found)]])
 
 
-def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarray:
+def lowest_per_cell(points: Points, cell: float, barred: np.ndarray, name: str = "") -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of square cells of ``cell`` metres that are not ``barred`` (bool[m]).
 
     Whole cells only; the last of each axis absorbs what is left over, as the blocks of Li et al. (2021), Sec. II-D, do.
     """
-    return lowest_per_window(points, cell, cell, barred)
+    return lowest_per_window(points, cell, cell, barred, name or f"cell={cell!r}")
 
 
 def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray:

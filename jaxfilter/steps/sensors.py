@@ -33,7 +33,7 @@ _SHEET = 0.3
 """Metres above the lowest point of a cell, and one side more, within which points are taken for its sheet."""
 
 
-class Sensed(NamedTuple):
+class SensorFacts(NamedTuple):
     """``kind``: one of :data:`KINDS`; ``thickness``: metres, standard deviation of ground from planes a few spacings wide;
     ``sparse``: metres, the spacing in the tenth of the area with fewest points."""
 
@@ -42,7 +42,7 @@ class Sensed(NamedTuple):
     sparse: float
 
     @classmethod
-    def of(cls, points: Points) -> Sensed:
+    def from_points(cls, points: Points) -> SensorFacts:
         """Of distinct candidates.
 
         The sheet is measured in cells: the points near the lowest, over their plane of least squares; the lowest quartile of

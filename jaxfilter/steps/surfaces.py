@@ -19,7 +19,7 @@ from ..engines.grid.cells import cell_index, padded_shape
 from ..engines.grid.minima import cell_minima, places_in
 from ..engines.grid.morphology import progressive_opening
 
-MAX_CELLS = 100_000_000  # about 10 GB
+MAX_SURFACE_CELLS = 100_000_000  # about 10 GB
 _WORK, _WORK_PER_POINT = 250_000_000, 64_000
 """Cells times openings that are done for few points, and for each point of many: some seconds of a processor."""
 _CHUNK, _SMALL_CHUNK = 2**18, 2**14  # points that are handed to the device at a time, of large clouds and of others
@@ -89,7 +89,7 @@ def lowest_cells(
     Raises: InputError if there would be too many cells.
     """
     xyz = points.xyz
-    grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_CELLS)
+    grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_SURFACE_CELLS)
     shape = padded_shape(grid.shape, least or points.least_shape(cell))
     extent = np.asarray(grid.shape, np.int32)
     frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)

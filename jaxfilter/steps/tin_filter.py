@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.compilation import in_turn
 from ..core.errors import warn
-from ..core.filter import Labels, alike, ground_each, values_of, watched
+from ..core.filter import Labels, ground_each, group_equal, values_of, watch
 from ..core.params import declared, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress, Status, silent
@@ -179,17 +179,19 @@ def _ground_each(
 
     @functools.lru_cache(threads)
     def start(first: int) -> tuple[set[str], Network, Growth, Tin]:
-        one, read = watched(sets[first])
+        one, read = watch(sets[first])
         network = one.start(points, threads, silent)
         growth = sets[first].growth(network)
         with GroundTin.start(network, growth, workers=threads) as seeds:
             return read, network, growth, seeds.tin
 
-    def grown(job: tuple[int, int]) -> np.ndarray:
+    def grow_set(job: tuple[int, int]) -> np.ndarray:
         first, number = job
         read, network, other, tin = start(first)
-        if len(alike(values_of([sets[first], sets[number]], read))) > 1:  # more was read than in the first set of all
-            return grown((number, number))
+        if (
+            len(group_equal(values_of([sets[first], sets[number]], read))) > 1
+        ):  # more was read than in the first set of all
+            return grow_set((number, number))
         growth = dataclasses.replace(sets[number].growth(network), kept=())
         same = (growth.border_follows, growth.vertices) == (other.border_follows, other.vertices)
         with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:
@@ -199,9 +201,9 @@ def _ground_each(
         return ground
 
     read, network, *_ = start(0)
-    groups = alike(values_of(sets, read))
+    groups = group_equal(values_of(sets, read))
     at_once = min(threads, len(sets), max(1, int(memory // (_BYTES * len(network.xyz)))))
-    for (_, number), ground in in_turn(grown, [(group[0], k) for group in groups for k in group], at_once):
+    for (_, number), ground in in_turn(grow_set, [(group[0], k) for group in groups for k in group], at_once):
         yield number, ground
 
 

@@ -11,11 +11,11 @@ from ..engines.grid.inpaint import fill_nearest
 from ..engines.tin.triangulation import Tin
 from .surfaces import Cells
 
-AROUND = 25.0
+VOID_REACH = 25.0
 """Metres around a place in a void within which the lowest point counts, where it may be water."""
 
 
-def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def fill_from_triangulation(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points; and
     bool[rows, columns], not padded: cells inside its hull.
 
@@ -36,8 +36,8 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.nd
     return np.asarray(fill_nearest(z, seen, cells.valid)), seen[:rows, :columns]
 
 
-def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
-    """f32[rows, columns]: ``z`` with the lowest elevation within :data:`AROUND` in voids: water is below what is around it.
+def lower_voids(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
+    """f32[rows, columns]: ``z`` with the lowest elevation within :data:`VOID_REACH` in voids: water is below what is around it.
 
     Args:
         z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points.
@@ -45,4 +45,4 @@ def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.nda
     """
     size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
     void = ~lowest(highest(seen, size, outside=True), size)
-    return np.where(void, lowest(z, 2 * round(AROUND / cell) + 1), z) if void.any() else z
+    return np.where(void, lowest(z, 2 * round(VOID_REACH / cell) + 1), z) if void.any() else z

@@ -11,7 +11,7 @@ from ..engines.grid.extremes import highest, lowest
 
 FLAT, STEP = 0.25, 0.2
 """Metres between the lowest and the highest of 5 x 5 cells of water, at most, and from one cell to the next: noise of 5 cm."""
-LEVEL = 0.1
+LEVEL_RANGE = 0.1
 """Metres between their means of 5 x 5: a slope of 2.5 %."""
 CORE = 50.0
 """Square metres of such cells, at least."""
@@ -26,7 +26,7 @@ THIN = 0.5
 """Of the points on a cell beside it that a body with few points has on one."""
 RISE, RISING, FALLING = 0.15, 0.5, 0.05
 """Metres that land is higher than water, or lower; of the cells beside a body so many are higher, at least, or lower, at most."""
-RIM = 4
+RIM_CELLS = 4
 """Cells from a body up to which others are beside it, and half the width of what stands on water."""
 SURFACE, AFLOAT = 0.15, 0.3
 """Metres from the level of water up to which points are its surface, and from which on they are no ground."""
@@ -51,7 +51,7 @@ def waters(
     from ..engines.grid.shapes import segments  # imports Numba
 
     mean = scipy.ndimage.uniform_filter(z, 5)
-    clear = (_range(z) < FLAT) & (_range(mean) < LEVEL) & known
+    clear = (_range(z) < FLAT) & (_range(mean) < LEVEL_RANGE) & known
     flat = highest(clear, 5) & known
     core, bodies = segments(np.where(flat, z, np.float32(np.nan)), np.float32(STEP), CORE / cell**2)
     level = np.full(z.shape, np.nan, np.float32)
@@ -62,9 +62,9 @@ def waters(
     rank = np.zeros(bodies + 1, np.int32)
     rank[1 + np.argsort(-heights, kind="stable")] = np.arange(1, bodies + 1)  # at a shore the lower one counts
     core = rank[core]
-    near = lowest(np.where(clear & (core > 0), mean, np.float32(np.inf)), 2 * RIM + 5)
+    near = lowest(np.where(clear & (core > 0), mean, np.float32(np.inf)), 2 * RIM_CELLS + 5)
     shore = (core == 0) & (np.abs(z - near) < SURFACE) & known
-    part = np.where(shore, highest(core, 2 * RIM + 1), core)
+    part = np.where(shore, highest(core, 2 * RIM_CELLS + 1), core)
     inner = (part > 0) & (lowest(part, 5) == highest(part, 5))
     area, rough = np.bincount(part.ravel(), minlength=bodies + 1) * cell**2, _spread(mean[inner], part[inner], bodies)
     body = np.zeros_like(part)
@@ -72,23 +72,28 @@ def waters(
         most = max(SLOPING, SLOPE * cell * math.hypot(*(one.stop - one.start for one in box)))
         if rough[number] > most or area[number] < AREA:
             continue
-        box = tuple(slice(max(one.start - RIM, 0), one.stop + RIM) for one in box)
+        box = tuple(slice(max(one.start - RIM_CELLS, 0), one.stop + RIM_CELLS) for one in box)
         own = part[box] == number
-        rim = highest(own, 2 * RIM + 1) & ~own & known[box]
+        rim = highest(own, 2 * RIM_CELLS + 1) & ~own & known[box]
         thin = rim.any() and count[box][own].mean() < THIN * count[box][rim].mean()
         if not rim.any() or not (thin or (rough[number] <= DENSE_LEVEL and area[number] >= DENSE_AREA)):
             continue
-        rise = z[box][rim] - _mean(z[box], own, 2 * RIM + 1)[rim]
+        rise = z[box][rim] - _mean(z[box], own, 2 * RIM_CELLS + 1)[rim]
         if (rise > RISE).sum() >= RISING * rim.sum() and (rise < -RISE).sum() <= FALLING * rim.sum():
             body[box][own] = number
     if not body.any():
         return level, body > 0
     ends = [np.flatnonzero(body.any(axis=axis))[[0, -1]] for axis in (1, 0)]
-    box = tuple(slice(max(first - 3 * RIM, 0), last + 3 * RIM) for first, last in ends)
+    box = tuple(slice(max(first - 3 * RIM_CELLS, 0), last + 3 * RIM_CELLS) for first, last in ends)
     body, core, apart = body[box], core[box], np.zeros(z.shape, bool)
     wet = scipy.ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0)  # without crumbs of the shore
-    near = scipy.ndimage.binary_closing(np.pad(wet, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects[box]
-    level[box] = np.where(wet | near, _mean(z[box], wet, 2 * RIM + 1), level[box])
+    near = (
+        scipy.ndimage.binary_closing(np.pad(wet, RIM_CELLS), iterations=RIM_CELLS)[
+            RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS
+        ]
+        & objects[box]
+    )
+    level[box] = np.where(wet | near, _mean(z[box], wet, 2 * RIM_CELLS + 1), level[box])
     apart[box] = near | lowest(wet | near, 3)
     return level, apart
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError
-from ..core.inputs import COLUMNS
+from ..core.inputs import COLUMN_TYPES
 from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..files.disk import Bounds
@@ -238,7 +238,7 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Re
     origin = np.min([cloud.origin for cloud in clouds], axis=0)
     shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
     columns: dict[str, Any] = {}
-    for name in (*COLUMNS, "reference", "valid"):
+    for name in (*COLUMN_TYPES, "reference", "valid"):
         parts = [getattr(cloud, name) for cloud in clouds]
         if kinds := [part.dtype for part in parts if part is not None]:
             empty = np.array(name in ("return_number", "number_of_returns", "valid"), kinds[0])
@@ -255,6 +255,6 @@ def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
     """The points of some rows, i64[k] or bool[n], without their file."""
     if len(rows) == len(cloud) and rows.dtype != bool:
         return dataclasses.replace(cloud, source=None)
-    arrays = {name: getattr(cloud, name) for name in ("xyz", *COLUMNS, "candidate", "reference", "valid")}
+    arrays = {name: getattr(cloud, name) for name in ("xyz", *COLUMN_TYPES, "candidate", "reference", "valid")}
     parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
     return dataclasses.replace(cloud, source=None, **parts)

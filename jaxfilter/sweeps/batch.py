@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, ParameterError, check_whole
-from ..core.filter import degenerate, watched
+from ..core.filter import degenerate, watch
 from ..core.params import declared
 from ..scoring import reference_labels
-from ..steps.batch import Batch, stacked
+from ..steps.batch import Batch, stack_clouds
 from ..steps.grid_filter import GridFilter
 from .ranges import check_filter
 from .sweep import named_clouds
@@ -42,7 +42,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     several, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None
     given = None if labels is None else _named_labels(labels, several, named)
-    taken, ready, (one, read) = [], [], watched(filter_)
+    taken, ready, (one, read) = [], [], watch(filter_)
     for name, cloud in named.items():
         points = filter_.points_of(cloud)
         if degenerate(cloud, points) is not None:
@@ -57,7 +57,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
         ready.append((one.cells(points), points.xyz, points.gather(truth), points.gather(counted), totals))
     if wrong := [field.name for field in declared(one) if field.name in read and not field.metadata["static"]]:
         raise ParameterError(f"batch: the cells of {type(one).__name__} depend on {wrong[0]!r}: declare it as static")
-    return stacked(filter_, taken, ready, names, blocks)
+    return stack_clouds(filter_, taken, ready, names, blocks)
 
 
 def _named_labels(labels: Any, several: bool, named: Iterable[str]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError, check_positive, check_whole, warn
-from ..core.filter import Filter, alike
+from ..core.filter import Filter, group_equal
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
@@ -281,7 +281,7 @@ class Study:
         """Sets that agree in all fields that are no numbers, i64[k], and where they lie, f64[k, fields]."""
         tried = self._tried()
         rows = zip(*tried.values(), strict=True)
-        for kind in alike(tuple("number" if is_number(v) else v for v in row) for row in rows):
+        for kind in group_equal(tuple("number" if is_number(v) else v for v in row) for row in rows):
             columns = [np.zeros(len(kind))]
             for name, values in tried.items():
                 column = [values[number] for number in kind]

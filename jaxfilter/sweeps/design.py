@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ParameterError, check_whole
-from ..core.filter import Filter, alike
+from ..core.filter import Filter, group_equal
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
 
@@ -75,7 +75,7 @@ def make_design(
     sets = [dict(zip(columns, values, strict=True)) for values in rows]
     filters = [filter_.replace(**one) for one in sets]  # raises ParameterError, naming field and value
     statics = [name for name in columns if fields[name].metadata["static"]]
-    groups = alike(tuple(one[name] for name in statics) for one in sets)
+    groups = group_equal(tuple(one[name] for name in statics) for one in sets)
     return Design(design, columns, sets, filters, groups)
 
 

@@ -36,7 +36,7 @@ import scipy
 from ..compiled import compiled
 from ..neighbours import groups
 
-BLOCK = 13
+BLOCK_LINES = 13
 """Lines that are moved at a time: more than a spring reaches (12 lines and 2 places)."""
 MOVED, FAR = np.int32(1), np.int32(2)
 """Flags: a particle moved in a step; one moved as far as the tolerance."""
@@ -72,7 +72,7 @@ def sweep(height, before, spring, surface, ends, reach, numbers, motion, step0, 
 
     A step is two blocks behind the step before. A block ends a step, and begins the next one, just before springs reach it.
     """
-    steps, blocks = len(motion), -(-len(height) // BLOCK)
+    steps, blocks = len(motion), -(-len(height) // BLOCK_LINES)
     for time in range(time0, time1):
         for step in range(step0, step1):
             block = time - 2 * step
@@ -89,7 +89,7 @@ def _turn(height, before, spring, surface, ends, block, numbers, finish, begin):
     """End a step, and begin the next one, for a block of lines. Returns what moved: 0, or MOVED, and FAR."""
     pinned_move, fall, tolerance = numbers
     moved = np.int32(0)
-    for line in range(block * BLOCK, min(block * BLOCK + BLOCK, len(height))):
+    for line in range(block * BLOCK_LINES, min(block * BLOCK_LINES + BLOCK_LINES, len(height))):
         first, last = ends[line]
         z, old, move, floor = (
             height[line, first:last],
@@ -114,7 +114,7 @@ def _turn(height, before, spring, surface, ends, block, numbers, finish, begin):
 def _pull(height, spring, ends, reach, block):
     """Let all springs of a block of lines act once, in the order of the particles. ``height``, ``spring``: f32[places]."""
     width = len(height) // len(ends)
-    for line in range(block * BLOCK, block * BLOCK + BLOCK):
+    for line in range(block * BLOCK_LINES, block * BLOCK_LINES + BLOCK_LINES):
         first, last = ends[line]
         here, size = line * width + first, last - first
         z, move = height[here : here + size], spring[here : here + size]
@@ -149,7 +149,7 @@ def drape(
     """
     rows, columns = limit.shape
     width = min((columns + 4) // 5, rows + 1) + 1
-    lines = columns + 5 * (rows - 1) + (rows - 1) // width + 2 * BLOCK
+    lines = columns + 5 * (rows - 1) + (rows - 1) // width + 2 * BLOCK_LINES
     height, before, spring, surface = (np.zeros((lines, width), np.float32) for _ in range(4))
     _nodes(surface, limit.shape)[:] = limit
     _nodes(spring, limit.shape)[:] = moves[1]
@@ -167,7 +167,7 @@ def drape(
         motion = np.zeros(steps, np.int32)
         share = np.linspace(0, steps + 1, threads + 1).astype(int)
         parts = _PARTS if threads > 1 else 1
-        time = np.linspace(0, -(-lines // BLOCK) + 2 * steps, parts + 1).astype(int)
+        time = np.linspace(0, -(-lines // BLOCK_LINES) + 2 * steps, parts + 1).astype(int)
 
         def run(thread: int, part: int) -> None:
             if 0 <= part < parts:
@@ -197,7 +197,7 @@ def _nodes(a: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """View of an array [lines, places] as the grid [rows, columns]."""
     size, width = a.itemsize, a.shape[1]
     strides = (size * (5 * width + 1), size * width)
-    return np.lib.stride_tricks.as_strided(a[BLOCK:], shape, strides)
+    return np.lib.stride_tricks.as_strided(a[BLOCK_LINES:], shape, strides)
 
 
 def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.ndarray:

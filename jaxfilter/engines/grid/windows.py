@@ -42,10 +42,11 @@ class Windows:
     counts: tuple[int, int]
 
 
-def window_layout(extent: tuple[float, float], window: float, stride: float) -> Windows:
+def window_layout(extent: tuple[float, float], window: float, stride: float, name: str = "") -> Windows:
     """Windows of ``window`` metres every ``stride`` metres over ``extent`` (height, width) in metres.
 
     The block is the stride where that divides the window, else the greatest length that divides both.
+    ``name`` stands for both in messages.
     Raises: ParameterError if stride or window are not whole millimetres, or not 0 < stride <= window.
 
     >>> from jaxfilter.engines.grid import windows
@@ -58,7 +59,7 @@ def window_layout(extent: tuple[float, float], window: float, stride: float) -> 
     if not 0 < stride <= window:
         raise ParameterError(f"stride={stride!r}: must be > 0 and at most window={window!r} metres")
     if abs(w - window * _RESOLUTION) > 1e-6 * w or abs(s - stride * _RESOLUTION) > 1e-6 * s:
-        raise ParameterError(f"window={window!r}, stride={stride!r}: give whole millimetres")
+        raise ParameterError(f"{name or f'window={window!r}, stride={stride!r}'}: give whole millimetres")
     common = math.gcd(w, s)
     block = common / _RESOLUTION
     blocks = tuple(max(1, math.ceil(length / block - 1e-6)) for length in extent)

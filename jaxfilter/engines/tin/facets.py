@@ -161,7 +161,7 @@ def judge_one(rule: Any, two_sided: jax.Array, p: jax.Array, corners: jax.Array)
     return verdict
 
 
-QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
+FACET_QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
@@ -186,7 +186,7 @@ def judge(
     points: jax.Array,
     corners: jax.Array,
     *,
-    names: tuple[str, ...] = QUANTITIES,
+    names: tuple[str, ...] = FACET_QUANTITIES,
 ) -> dict[str, jax.Array]:
     """Apply one rule to points f32[3, N] over their facets f32[3, 3, N], local metres, by corners, then axes.
 
@@ -195,7 +195,7 @@ def judge(
     Args:
         rule: a pytree of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
-        names: which of :data:`QUANTITIES` to return; what is not named is not computed.
+        names: which of :data:`FACET_QUANTITIES` to return; what is not named is not computed.
 
     Points with NaN, and those over facets with NaN, are not accepted. Raises: InputError for other types and shapes.
 

@@ -24,7 +24,7 @@ from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
 from .facets import judge, mirrored, of_nodes, single
-from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
+from .growth import KEPT_QUANTITIES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
 _BATCH = 8192
@@ -231,7 +231,7 @@ class GroundTin(GroundNodes):
         facet, mirror = self.tin.where[nodes], self.growth.mirror
         tested = (
             "accepted",
-            *(self.growth.kept or SCORES),
+            *(self.growth.kept or KEPT_QUANTITIES),
         )  # without any the same program runs, since others round differently
         further = ("level",) * (mirror is not None) + ("height",) * self.growth.one_per_facet
         verdict = self._judge(nodes, facet, (*tested, *further))
@@ -324,7 +324,7 @@ class GroundTin(GroundNodes):
     ) -> dict[str, np.ndarray]:
         """Test nodes, or ``xyz`` f32[n, 3] in their place, over facets, i32[n], or those with the nodes i32[n, 3] as corners.
 
-        ``names``: of :data:`jaxfilter.engines.tin.facets.QUANTITIES`, those to return.
+        ``names``: of :data:`jaxfilter.engines.tin.facets.FACET_QUANTITIES`, those to return.
         """
 
         def given(rows: slice) -> tuple[Any, ...]:

@@ -70,7 +70,7 @@ class Network:
         return self.row >= 0
 
 
-SCORES = ("decision", "margin", "angle", "elevation")
+KEPT_QUANTITIES = ("decision", "margin", "angle", "elevation")
 """What a result tells of the last test of each point."""
 
 
@@ -142,7 +142,7 @@ class Growth:
         one_per_facet: a round adds, of the points over a facet that pass and may become vertices, only the one that lies
             lowest over it (after Nie et al. 2017); the others are tested again over the new facets.
         beyond: how points join outside the hull of the vertices; None = as inside.
-        kept: the tested quantities that are kept, of :data:`jaxfilter.engines.tin.facets.QUANTITIES`.
+        kept: the tested quantities that are kept, of :data:`jaxfilter.engines.tin.facets.FACET_QUANTITIES`.
     """
 
     rule: Any
@@ -152,7 +152,7 @@ class Growth:
     border_follows: bool = False
     one_per_facet: bool = False
     beyond: Beyond | None = None
-    kept: tuple[str, ...] = SCORES
+    kept: tuple[str, ...] = KEPT_QUANTITIES
 
     @property
     def moves(self) -> bool:

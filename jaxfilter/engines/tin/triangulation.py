@@ -20,7 +20,7 @@ from ...core.errors import InputError
 from ...core.points import pieces
 from ..neighbours import tree_of
 
-CHUNK = 65536
+NODES_AT_ONCE = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
 _SHARE = 8192
 """At least so many are worth a thread of their own where each takes a walk."""
@@ -122,8 +122,8 @@ class Tin:
         return vertices[[0, far, off] if turn[off] > 0 else [0, off, far]]
 
     def _spread(self, count: int, work: Callable[[slice], None], least: int | None = None) -> None:
-        """Do work on parts of so many nodes, in threads; a part has ``least``, or else :data:`CHUNK`."""
-        size = min(CHUNK, max(least or CHUNK, -(-count // self.workers)))
+        """Do work on parts of so many nodes, in threads; a part has ``least``, or else :data:`NODES_AT_ONCE`."""
+        size = min(NODES_AT_ONCE, max(least or NODES_AT_ONCE, -(-count // self.workers)))
         parts = [slice(i, i + size) for i in range(0, count, size)]
         list((self.pool.map if self.workers > 1 and len(parts) > 1 else map)(work, parts))
 
@@ -169,7 +169,7 @@ class Tin:
         left, done, room = np.zeros(len(nodes), bool), 0, np.empty((64, 7), np.int32)
         own = self.sheet, self._hull
         while done < len(nodes):
-            some, before = (nodes[: done + CHUNK], fresh, left), done
+            some, before = (nodes[: done + NODES_AT_ONCE], fresh, left), done
             done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE, room)
             if done < 0:
                 raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex: give each position once")
@@ -183,10 +183,10 @@ class Tin:
         begins = range(0, len(nodes), share)
         bounds = [0, *nodes[begins[1:]].tolist(), len(self.xyz)]
         ranges = list(itertools.pairwise(bounds))
-        for step in range(0, share, CHUNK):
+        for step in range(0, share, NODES_AT_ONCE):
 
             def one(k: int, step: int = step) -> None:
-                part = slice(begins[k] + step, min(begins[k] + min(step + CHUNK, share), len(nodes)))
+                part = slice(begins[k] + step, min(begins[k] + min(step + NODES_AT_ONCE, share), len(nodes)))
                 left[part] = self._insert(nodes[part], fresh[part], *ranges[k])
 
             list(self.pool.map(one, range(len(begins))))
@@ -195,8 +195,8 @@ class Tin:
     def remove(self, nodes: np.ndarray) -> None:
         """Make vertices (i64, not on the hull of their sheet) ordinary nodes again. Raises: ValueError."""
         for order in reversed(_coarse_first(len(nodes))):
-            for start in range(0, len(order), CHUNK):
-                part = nodes[order[start : start + CHUNK]]
+            for start in range(0, len(order), NODES_AT_ONCE):
+                part = nodes[order[start : start + NODES_AT_ONCE]]
                 freed = np.empty((len(part), 2), np.int32)
                 done = self._flips.remove(*self._tables, part, freed, self.now)
                 if done < len(part):
