@@ -69,8 +69,8 @@ def lowest_per_adaptive_cell(
     Cells count from the cloud's anchor.
     Raises: InputError if the extent needs too many cells.
     """
-    corner, high = np.array(points.lattice_corner(cell)), points.extent[1]
-    cells = (high - corner) / cell
+    (x0, y0), high = points.lattice_corner(cell), points.extent[1]
+    cells = (high - np.array([x0, y0])) / cell
     whole = np.floor(cells + 1e-9) if remainder == "absorbed" else np.ceil(cells - 1e-6)
     columns, rows = np.maximum(whole, 1).astype(np.int64)
     finest = 2 ** (levels - 1)
@@ -86,7 +86,7 @@ def lowest_per_adaptive_cell(
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
         shape = padded_shape(extent, points.least_shape(cell / 2**level))
-        grid = Grid(*corner.tolist(), cell / 2**level, *extent[::-1])  # halves are exact, so that the levels are nested
+        grid = Grid(x0, y0, cell / 2**level, *extent[::-1])  # halves are exact, so that the levels are nested
         index = grid.single().flat(xyz, shape[1])
         slopes = cell_slopes(index, xyz, part, shape[0] * shape[1])
         number, first, mean, least = (np.asarray(v) for v in slopes)

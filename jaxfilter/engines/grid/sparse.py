@@ -40,13 +40,14 @@ class CellSet:
     def of(cls, grid: Grid, xyz: np.ndarray, places: Places | None = None) -> tuple[CellSet, np.ndarray]:
         """The cells that points f32[n, >=2] are in, and i32[n], which one each is in. ``places``: from some of the points to
         row and column, i[m] each; by default :meth:`jaxfilter.core.grid.Grid.places`."""
-        places, wide, points = places or grid.places, grid.nx + 2, len(xyz)
+        found: Places = places or grid.places
+        wide, points = grid.nx + 2, len(xyz)
         if (size := (grid.ny + 2) * wide) > min(_TABLE * points, 2**31):
-            distinct, member = np.unique(ringed(*places(xyz), wide), return_inverse=True)
+            distinct, member = np.unique(ringed(*found(xyz), wide), return_inverse=True)
             return cls(distinct, grid), member.astype(np.int32)
         seen, member = np.zeros(size, bool), np.empty(points, np.int32)
         for part in pieces(points):
-            key = ringed(*places(xyz[part]), wide)
+            key = ringed(*found(xyz[part]), wide)
             seen[key] = True
             member[part] = key
         number = np.cumsum(seen, dtype=np.int32)
