@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.grid import Grid
+from ..engines.grid.cells import inside
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.sampling import bilinear
 from .surfaces import Cells, hold_against, steepness
@@ -73,7 +74,7 @@ def _slope(
     objects."""
     seen, valid_cells, objects = masks
     known = seen & valid_cells & ~objects
-    shape = tuple(-(-n // block) for n in z.shape)
+    shape = (-(-z.shape[0] // block), -(-z.shape[1] // block))
 
     def sums(a: jax.Array) -> jax.Array:
         wide = jnp.pad(a, [(0, -n % block) for n in z.shape])
@@ -81,8 +82,7 @@ def _slope(
 
     count = sums(known.astype(jnp.float32))
     blocks = -(-jnp.asarray(extent) // block)
-    row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
-    valid = (row < blocks[0]) & (column < blocks[1])
+    valid = inside(shape, blocks)
     level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
     weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * cell * block / sigma) ** 2)
 

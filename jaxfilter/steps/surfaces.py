@@ -156,7 +156,8 @@ def steepest_drops(
         return jnp.maximum(steepest, (before - opened) / (k + 1).astype(z.dtype))
 
     radii, none = jnp.arange(1, most + 1), jnp.zeros_like(z)
-    return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
+    radii = jnp.where(radii <= reach, radii, -1)
+    return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element)[1]
 
 
 @jax.jit

@@ -170,12 +170,6 @@ def _dilated(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: j
     return ~_eroded(jnp.where(valid, ~z, _beyond(z)), radius, reach, element)
 
 
-def _opened(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
-    """:func:`opening` of integers."""
-    eroded = _eroded(jnp.where(valid, z, _beyond(z)), radius, reach, element)
-    return jnp.where(valid, _dilated(eroded, radius, reach, element, valid), z)
-
-
 @functools.cache
 def _rims(reach: int) -> tuple[np.ndarray, np.ndarray]:
     """What the disk of every radius up to ``reach`` has beyond the five disks of a radius less by one that lie in it.
@@ -278,10 +272,12 @@ def opening(
     0.0
     """
     there = jnp.ones(jnp.shape(z), bool) if valid is None else valid
-    return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
+    radius, level = jnp.asarray(radius, jnp.int32), _ordered(z)
+    eroded = _eroded(jnp.where(there, level, _beyond(level)), radius, reach, element)
+    return _ordered(jnp.where(there, _dilated(eroded, radius, reach, element, there), level), z.dtype)
 
 
-@takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS, count="int[]")
+@takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS)
 def progressive_opening(
     z: jax.Array,
     valid: jax.Array,
@@ -291,19 +287,17 @@ def progressive_opening(
     *,
     reach: int,
     element: str = "disk",
-    count: jax.Array | int | None = None,
 ) -> tuple[jax.Array, T]:
     """Openings with one radius after the other, each of the surface that the one before has left.
 
     Args:
         z: as for :func:`erosion`.
         valid: bool[rows, columns], the cells that exist, as for :func:`opening`; a rectangle.
-        radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before.
+        radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before; -1 where there are no more.
         look: called as ``look(k, before, opened, found)`` for each opening, with its number i32[], the surfaces before and
             after it, and what the previous call has returned; arrays of the same shapes and dtypes.
         found: what the first call is given, a pytree of arrays.
         reach, element: as for :func:`erosion`.
-        count: i32[], how many of the radii are used; by default all.
 
     Returns: the last surface, [rows, columns] of the type of z, and what the last call of ``look`` has returned.
 
@@ -335,7 +329,7 @@ def progressive_opening(
         return opened, lowest, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
 
     start = _ordered(z)
-    number = len(radii) if count is None else count
+    number = (radii >= 0).sum(dtype=jnp.int32)
     last, _, found = lax.fori_loop(0, number, open_once, (start, jnp.where(valid, start, _beyond(start)), found))
     return _ordered(last, z.dtype), found
 

@@ -60,10 +60,10 @@ class CellSet:
         """With the cells of the grid that are at most so many rows and columns away."""
         key = self.key
         for _ in range(steps):
-            key = _merged(key - 1, key, key + 1)
+            key = merged(key - 1, key, key + 1)
             column = key % self.wide
             key = key[(column > 0) & (column <= self.grid.nx)]
-            key = _merged(key - self.wide, key, key + self.wide)
+            key = merged(key - self.wide, key, key + self.wide)
             key = key[slice(*np.searchsorted(key, (self.wide, (self.grid.ny + 1) * self.wide)))]
         return CellSet(key, self.grid)
 
@@ -88,6 +88,7 @@ def ringed(row: np.ndarray, column: np.ndarray, wide: int) -> np.ndarray:
     return (row.astype(np.int64) + 1) * wide + (column + 1)
 
 
-def _merged(*sorted_keys: np.ndarray) -> np.ndarray:
+def merged(*sorted_keys: np.ndarray) -> np.ndarray:
+    """What is in one of the sorted arrays at least, sorted."""
     key = np.sort(np.concatenate(sorted_keys), kind="stable")  # merges what is sorted
     return key[np.append(True, key[1:] != key[:-1])]
