@@ -17,9 +17,7 @@ MAX_CELLS = 400_000_000
 _PER_POINT, _AT_LEAST = 64, 4_000_000
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass, data_fields=["x0", "y0", "cell", "nx", "ny"], meta_fields=[]
-)
+@functools.partial(jax.tree_util.register_dataclass, data_fields=["x0", "y0", "cell", "nx", "ny"], meta_fields=[])
 @dataclasses.dataclass(frozen=True)
 class Grid:
     """``ny`` rows of ``nx`` square cells; the lower left corner of cell (0, 0) lies at (``x0``, ``y0``), local metres. A pytree

@@ -108,7 +108,9 @@ class _Kept(NullCache):  # type: ignore[misc]
             content = path.read_bytes()
             if sha256(content[32:]).digest() != content[:32]:
                 raise ValueError("the file is damaged")
-            return CompileResult._rebuild(context, *pickle.loads(content[64:])) if content[32:64] == self.stamp else None
+            return (
+                CompileResult._rebuild(context, *pickle.loads(content[64:])) if content[32:64] == self.stamp else None
+            )
         except Exception as error:
             cache_trouble(path.parent, error)
             return None

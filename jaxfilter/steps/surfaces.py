@@ -156,8 +156,7 @@ def steepest_drops(
         return jnp.maximum(steepest, (before - opened) / (k + 1).astype(z.dtype))
 
     radii, none = jnp.arange(1, most + 1), jnp.zeros_like(z)
-    radii = jnp.where(radii <= reach, radii, -1)
-    return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element)[1]
+    return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
 
 
 @jax.jit
@@ -175,9 +174,7 @@ def steepness(z: jax.Array, extent: tuple[Any, Any] | jax.Array, cell: jax.Array
 
 
 @jax.jit
-def cell_values(
-    xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], grid: Grid
-) -> tuple[jax.Array, ...]:
+def cell_values(xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], grid: Grid) -> tuple[jax.Array, ...]:
     """f32[n] for every surface, f32[rows, columns]: its value in the cells of points f32[n, >=2]; see :class:`Cells`."""
     at = grid.flat(xyz, surfaces[0].shape[1])
     return tuple(surface.reshape(-1)[at] for surface in surfaces)

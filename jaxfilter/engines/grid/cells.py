@@ -100,7 +100,11 @@ def lowest_in_cells(index: np.ndarray, z: np.ndarray, cells: int, rows: bool = T
 
     def blocks() -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         for start in range(0, len(z), _BLOCK):
-            part, at, low = slice(start, start + _BLOCK), np.zeros(_BLOCK, np.int32), np.full(_BLOCK, np.inf, np.float32)
+            part, at, low = (
+                slice(start, start + _BLOCK),
+                np.zeros(_BLOCK, np.int32),
+                np.full(_BLOCK, np.inf, np.float32),
+            )
             size = len(z[part])
             at[:size], low[:size] = index[part], z[part]
             yield start, at, low

@@ -277,7 +277,7 @@ def opening(
     return _ordered(jnp.where(there, _dilated(eroded, radius, reach, element, there), level), z.dtype)
 
 
-@takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS)
+@takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS, count="int[]")
 def progressive_opening(
     z: jax.Array,
     valid: jax.Array,
@@ -287,17 +287,19 @@ def progressive_opening(
     *,
     reach: int,
     element: str = "disk",
+    count: jax.Array | int | None = None,
 ) -> tuple[jax.Array, T]:
     """Openings with one radius after the other, each of the surface that the one before has left.
 
     Args:
         z: as for :func:`erosion`.
         valid: bool[rows, columns], the cells that exist, as for :func:`opening`; a rectangle.
-        radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before; -1 where there are no more.
+        radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before.
         look: called as ``look(k, before, opened, found)`` for each opening, with its number i32[], the surfaces before and
             after it, and what the previous call has returned; arrays of the same shapes and dtypes.
         found: what the first call is given, a pytree of arrays.
         reach, element: as for :func:`erosion`.
+        count: i32[], how many of the radii are used; by default all.
 
     Returns: the last surface, [rows, columns] of the type of z, and what the last call of ``look`` has returned.
 
@@ -329,7 +331,7 @@ def progressive_opening(
         return opened, lowest, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
 
     start = _ordered(z)
-    number = (radii >= 0).sum(dtype=jnp.int32)
+    number = len(radii) if count is None else count
     last, _, found = lax.fori_loop(0, number, open_once, (start, jnp.where(valid, start, _beyond(start)), found))
     return _ordered(last, z.dtype), found
 

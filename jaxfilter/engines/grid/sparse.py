@@ -91,4 +91,6 @@ def ringed(row: np.ndarray, column: np.ndarray, wide: int) -> np.ndarray:
 def merged(*sorted_keys: np.ndarray) -> np.ndarray:
     """What is in one of the sorted arrays at least, sorted."""
     key = np.sort(np.concatenate(sorted_keys), kind="stable")  # merges what is sorted
-    return key[np.append(True, key[1:] != key[:-1])]
+    fresh = np.ones(len(key), bool)
+    fresh[1:] = key[1:] != key[:-1]
+    return key[fresh]
