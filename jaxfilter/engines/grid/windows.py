@@ -30,10 +30,6 @@ class Windows:
         width, stride: window size and stride in blocks.
         blocks: number of blocks (rows, columns) that cover the rectangle.
         counts: number of windows (rows, columns).
-
-    >>> from jaxfilter.engines.grid import windows
-    >>> windows.window_layout((20.0, 18.0), window=4.0, stride=2.0).counts
-    (9, 8)
     """
 
     block: float
