@@ -25,8 +25,8 @@ def scene() -> jf.scenes.Scene:
 
 def inner(values: Any, surface: Any) -> tuple[np.ndarray, Grid]:
     """The cells that exist of a padded array, and their grid."""
-    rows, columns = (int(n) for n in surface.extent)
-    x0, y0, cell = (float(v) for v in surface.frame)
+    rows, columns = (int(n) for n in surface.grid.shape)
+    x0, y0, cell = (float(v) for v in (surface.grid.x0, surface.grid.y0, surface.grid.cell))
     return np.asarray(values)[:rows, :columns], Grid(x0, y0, cell, columns, rows)
 
 

@@ -3,12 +3,10 @@
 import ctypes
 import importlib
 import os
-import pickle
 import signal
 import subprocess
 import sys
 import warnings
-from hashlib import sha256
 
 import numba
 import numpy as np
@@ -154,28 +152,6 @@ def test_a_link_to_itself_is_told_of(tmp_path, monkeypatch):
     (tmp_path / "link").symlink_to("link")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "link"))
     check_use(tmp_path / "link", "exists")
-
-
-class Planted:
-    """What makes a folder when it is unpickled."""
-
-    def __init__(self, trace):
-        self.trace = trace
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.trace),)
-
-
-@owners_and_modes
-def test_what_others_may_have_planted_is_not_executed(kept, tmp_path):
-    [file] = kept.iterdir()
-    content = file.read_bytes()[32:64] + pickle.dumps(Planted(tmp_path / "executed"))
-    file.write_bytes(sha256(content).digest() + content)
-    kept.parent.chmod(0o1777)
-    check_use(kept, "others may write")
-    assert not (tmp_path / "executed").exists()
-    kept.parent.chmod(0o700)
-    assert hits() == 0 and (tmp_path / "executed").exists(), "what is planted would have worked"
 
 
 @pytest.mark.parametrize("full", [True, False])

@@ -69,9 +69,7 @@ def test_a_mask_without_a_cell_gives_a_level_surface(small, filter_, level, fiel
     assert not np.isnan(tested.margin).any() and (filter_ is not MSF or (np.asarray(tested.margin) > 0).all())
 
 
-@pytest.mark.parametrize(
-    "name, shape", [("seen", (128, 64)), ("valid", (128,)), ("lowest", (64, 128)), ("extent", (3,)), ("frame", (2,))]
-)
+@pytest.mark.parametrize("name, shape", [("seen", (128, 64)), ("valid", (128,)), ("lowest", (64, 128))])
 def test_shapes_that_do_not_fit_are_an_error_that_names_them(small, name, shape):
     cells = dataclasses.replace(SMRF.cells(small[0]), **{name: np.zeros(shape, np.float32)})
     for call in (SMRF.model, jax.jit(SMRF.model), lambda cells: jf.soft_labels(SMRF, cells, small[0].xyz)):

@@ -8,33 +8,50 @@ from scipy import ndimage
 
 import jaxfilter as jf
 from jaxfilter import metrics
+from jaxfilter.core.grid import Grid
 from jaxfilter.engines.cloth import surface
 from jaxfilter.engines.grid import cones, inpaint, sampling, spread, windows
-from jaxfilter.engines.grid.cells import block_counts, block_minima, cell_index, inside, padded_length, padded_shape
+from jaxfilter.engines.grid.cells import (
+    block_minima,
+    inside,
+    lowest_in_cells,
+    lowest_points,
+    padded_length,
+    padded_shape,
+)
 from jaxfilter.engines.grid.extremes import highest, lowest
 from jaxfilter.engines.tin import facets
 from jaxfilter.steps import planes
 
 
-def test_cell_index_counts_from_the_corner_and_clips_to_the_extent():
-    xy = np.array([[0, 0], [1.99, 0], [2, 0], [5, 3.9], [-9, 99], [99, -9]], np.float32)
-    index = cell_index(xy, np.float32([0, 0]), np.float32(2), np.int32([2, 3]), 128)
-    np.testing.assert_array_equal(index, [0, 0, 1, 128 + 2, 128, 2])
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray])
+def test_cells_of_points_count_from_the_corner_and_points_outside_go_to_the_nearest(kind):
+    xy = kind(np.array([[0, 0], [1.99, 0], [2, 0], [5, 3.9], [-9, 99], [99, -9]], np.float32))
+    row, column = Grid(0.0, 0.0, 2.0, 3, 2).places(xy)
+    assert (row.tolist(), column.tolist()) == ([0, 0, 0, 1, 1, 0], [0, 0, 1, 2, 0, 2])
+    assert Grid(0.0, 0.0, 2.0, 3, 2).flat(xy, 128).tolist() == [0, 0, 1, 128 + 2, 128, 2]
 
 
-def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index(rng):
-    index = rng.integers(0, 40, 500).astype(np.int32)
+@pytest.mark.parametrize("n", [0, 1, 500, 200_000])
+def test_the_lowest_of_cells_are_those_of_a_sort(rng, n):
+    """Among ties, which a zero of the other sign makes too, the first row; some cells are empty, and +inf does not count."""
+    index, cells = rng.integers(0, 40, n).astype(np.int32), 41
     index[index == 7] = 8
-    z = rng.integers(0, 5, 500).astype(np.float32)
-    z[::9] = np.inf  # padding
-    lowest, first = map(np.asarray, block_minima(index, z, 40))
-    for cell in range(40):
-        rows = np.flatnonzero((index == cell) & np.isfinite(z))
-        if len(rows):
-            assert lowest[cell] == z[rows].min() and first[cell] == rows[np.argmin(z[rows])]
-        else:
-            assert lowest[cell] == np.inf and first[cell] == 500
-    assert np.isinf(lowest[7])
+    z = rng.choice(np.float32([-0.0, 0.0, -1.5, 2.0]), n, p=[0.3, 0.3, 0.01, 0.39])
+    z[::9] = np.inf
+    order = np.lexsort((np.arange(n), z, index))
+    order = order[np.isfinite(z[order])]
+    known, first = np.unique(index[order], return_index=True)
+    lowest, row = np.full(cells, np.inf, np.float32), np.full(cells, n)
+    lowest[known], row[known] = z[order[first]], order[first]
+    for found in (lowest_in_cells(index, z, cells), block_minima(index, z, cells)):
+        np.testing.assert_array_equal(found[0], lowest)
+        np.testing.assert_array_equal(found[1], row)
+    xy = rng.integers(0, 3, (n, 2)).astype(np.float32)
+    order = order[np.lexsort((xy[order, 1], xy[order, 0], z[order], index[order]))]
+    level, number, rows = lowest_points(xy, index, z, cells)
+    np.testing.assert_array_equal(level, lowest)
+    np.testing.assert_array_equal(xy[rows[number[known]]], xy[order[np.unique(index[order], return_index=True)[1]]])
 
 
 def test_small_grids_have_two_shapes_and_padding_wastes_little_on_large_ones():
@@ -60,9 +77,7 @@ CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 10.0, 2.0]])
 Z = np.array([[3.0, 0.5, -2.0], [1.0, 5.0, 4.25]])
 OPERATIONS = {
     "cone_erosion": (cones.cone_erosion, {"z": Z, "slope": 0.5, "radius": 2.0, "reach": 2}),
-    "cell_index": (cell_index, {"xy": POINTS, "corner": np.zeros(2), "cell": 1.0, "extent": np.array([2, 3]), "columns": 3}),
     "block_minima": (block_minima, {"index": np.array([0, 2, 2]), "z": POINTS[:, 2], "cells": 3}),
-    "block_counts": (block_counts, {"index": np.array([0, 2, 2]), "counted": np.array([True, True, False]), "cells": 3}),
     "inside": (inside, {"shape": (2, 3), "extent": np.array([2, 2])}),
     "fill_membrane": (inpaint.fill_membrane, {"z": Z, "known": KNOWN, "inside": ALL, "tolerance": 1e-3}),
     "fill_nearest": (inpaint.fill_nearest, {"z": Z, "known": KNOWN, "inside": ALL}),
@@ -83,14 +98,12 @@ OPERATIONS = {
         windows.window_minima,
         {"lowest": Z, "first": np.arange(6).reshape(2, 3), "counts": np.array([1, 2]), "width": 2, "stride": 1},
     ),
-    "gradient_of": (planes.gradient_of, {name: np.array([2.0, 3.0]) for name in ("count", "xx", "xy", "yy", "xz", "yz")}),
     "fit_planes": (planes.fit_planes, {"xyz": CORNERS[None], "mask": np.ones((1, 3), bool)}),
     "plane_residuals": (
         lambda xyz: planes.plane_residuals(planes.fit_planes(CORNERS[None], np.ones((1, 3), bool)), xyz),
         {"xyz": POINTS[None]},
     ),
     "facet_score": (facets.facet_score, {"p": POINTS[0], "corners": CORNERS}),
-    "judge_one": (partial(facets.judge_one, facets.Rule()), {"two_sided": False, "p": POINTS[0], "corners": CORNERS}),
     "judge": (
         partial(facets.judge, facets.Rule(max_angle=9.0)),
         {"two_sided": np.zeros(3, bool), "points": POINTS.T, "corners": np.stack([CORNERS] * 3, axis=2)},
@@ -105,7 +118,7 @@ ARGUMENTS = [
     (name, key) for name, (_, given) in OPERATIONS.items() for key, v in given.items() if isinstance(v, np.ndarray)
 ]
 MAY_BE_NAN = {("bilinear", "grid"), *(("running", "a"), ("facet_score", "p"), ("facet_score", "corners"))} | {
-    (name, key) for name in ("judge_one", "judge", "mirrored") for key in ("p", "points", "corners")
+    (name, key) for name in ("judge", "mirrored") for key in ("p", "points", "corners")
 }
 
 
@@ -136,9 +149,7 @@ def test_numbers_in_other_forms_give_the_same(name):
 def test_other_types_and_shapes_are_refused_by_name(name, argument):
     call, given = OPERATIONS[name]
     right = given[argument]
-    good = {"f": "f", "i": "iu", "b": "b"}[right.dtype.kind] + (
-        "iu" if name == "running" or argument == "count" else ""
-    )
+    good = {"f": "f", "i": "iu", "b": "b"}[right.dtype.kind] + ("iu" if name == "running" else "")
     kinds = "bool int8 int32 int64 uint8 uint64 float16 float32 float64 complex64 complex128 object U3 S3 M8[s] m8[s]"
     wrong = [right.astype(float).astype(kind) for kind in kinds.split() if np.dtype(kind).kind not in good]
     if "iu" not in good and right.dtype.kind == "f":
@@ -175,9 +186,7 @@ def test_one_cell_has_its_own_value(call):
 
 def test_no_points_are_no_points():
     none, nowhere = np.zeros((0, 3)), np.zeros(0, int)
-    assert cell_index(none, [0.0, 0.0], 1.0, [2, 3], 3).shape == (0,)
     assert [a.tolist() for a in block_minima(nowhere, none[:, 2], 2)] == [[np.inf, np.inf], [0, 0]]
-    assert block_counts(nowhere, nowhere == 0, 2).tolist() == [0, 0]
     assert sampling.bilinear(none[:, :2], [2, 3], 3)(Z).shape == (0,)
     assert metrics.confusion_counts(nowhere == 0, nowhere == 0, nowhere == 0).tolist() == [[0, 0], [0, 0]]
     judged = facets.judge(facets.Rule(), nowhere == 0, none.T, np.zeros((3, 3, 0)))
@@ -207,8 +216,7 @@ def test_a_cone_over_infinite_elevations_and_to_an_infinite_radius(slope, radius
     "call, name",
     [
         (lambda: padded_length(2.5), "n"), (lambda: padded_shape((3, "4")), "shape"), (lambda: inside((2.0, 3), [1, 1]), "shape"),
-        (lambda: cones.disk_offsets(-1), "reach"), (lambda: cell_index(POINTS, [0, 0.0], 1.0, [2, 3], 0), "columns"),
-        (lambda: block_counts([0], [True], 0), "cells"),
+        (lambda: cones.disk_offsets(-1), "reach"), (lambda: block_minima([0], [1.0], 0), "cells"),
         (lambda: windows.window_minima(Z, [[0] * 3] * 2, [1, 1], 2, 0), "stride"),
         (lambda: inpaint.running(jnp.minimum, Z, 2), "axis"), (lambda: windows.window_layout((9.0, 9.0), np.nan, 1.0), "window"),
         (lambda: windows.window_layout((9.0, 9.0), np.inf, 1.0), "window"),

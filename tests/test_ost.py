@@ -598,7 +598,7 @@ def test_cells_outside_the_hull_are_told(rng, tin_of):
     cells = cells_of(xyz)
     inside = fill_from_triangulation(tin, cells, 4, 8.0)[1]
     row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
-    x, y, _ = np.asarray(cells.frame)
+    x, y = cells.grid.x0, cells.grid.y0
     hull = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([column.ravel() + x + 0.5, row.ravel() + y + 0.5])) >= 0
     np.testing.assert_array_equal(
         inside.ravel(), hull | np.asarray(cells.seen)[: len(inside), : inside.shape[1]].ravel()

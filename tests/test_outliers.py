@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist
 
 import jaxfilter as jf
 from jaxfilter import scenes
+from jaxfilter.core.grid import Grid
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines import neighbours
 from jaxfilter.engines.grid.depressions import Basins
@@ -110,7 +111,7 @@ def flooded(z, depth, max_cells):
 def cells_of(inside):
     """CellSet of one point each, where ``inside`` is true."""
     row, column = np.nonzero(inside)
-    return CellSet.of(lambda part: (row[part], column[part]), len(row), inside.shape)
+    return CellSet.of(Grid(0.0, 0.0, 1.0, *inside.shape[::-1]), np.column_stack([column, row]) + 0.5)
 
 
 def pits_of(z, depth, max_points, points=None):

@@ -109,7 +109,7 @@ def test_windows_share_a_program(monkeypatch):
     monkeypatch.setattr(smrf, "opening", lambda *given, **options: traced.append(1) or plain(*given, **options))
     cells = SMRF().cells(SMRF().points_of(make("town", size=(60, 50), density=1.0, seed=2).cloud))
     filled = np.asarray(SMRF().prepare(cells).surface)
-    rows, columns = np.asarray(cells.extent)
+    rows, columns = cells.grid.shape
     for window in (17, 19):
         drops = np.asarray(SMRF(window=float(window)).prepare(cells).steepest)[:rows, :columns]
         z, steepest = filled[:rows, :columns], np.zeros((rows, columns), np.float32)

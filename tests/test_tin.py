@@ -261,15 +261,6 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
 
 
-def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):
-    xyz = nodes(rng, grid(rng, 60), twins=False)
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    for chosen in (np.arange(len(xyz))[::9], np.arange(0)):
-        tin.now += 1
-        tin.touch(chosen)
-        assert np.array_equal(tin.stamp == tin.now, np.isin(tin.triangles, chosen).any(axis=1))
-
-
 @pytest.mark.parametrize("kind", [random, grid, circles, clusters], ids=lambda kind: kind.__name__)
 def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
     """Also if more are nearer that do not count than are asked one by one."""

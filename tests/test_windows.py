@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.core.points import PIECE
-from jaxfilter.engines.grid.cells import block_minima, cell_index
-from jaxfilter.engines.grid.minima import lowest_points, places_in
+from jaxfilter.core.grid import Grid
+from jaxfilter.engines.grid.cells import block_minima
 from jaxfilter.engines.grid.windows import window_layout, window_minima
 
 
@@ -30,7 +29,7 @@ def by_brute_force(xyz, extent, window, stride):
 def by_blocks(xyz, extent, window, stride, padding):
     layout = window_layout(extent, window, stride)
     shape = layout.blocks[0] + padding, layout.blocks[1] + padding
-    index = cell_index(xyz[:, :2], np.float32([0, 0]), np.float32(layout.block), np.int32(layout.blocks), shape[1])
+    index = Grid(0.0, 0.0, layout.block, *layout.blocks[::-1]).flat(xyz, shape[1])
     lowest, first = block_minima(index, xyz[:, 2], shape[0] * shape[1])
     z, point = window_minima(
         lowest.reshape(shape), first.reshape(shape), np.int32(layout.counts), layout.width, layout.stride
@@ -67,24 +66,3 @@ def test_number_of_windows_is_the_papers():
 def test_bad_windows_are_named(window, stride, name):
     with pytest.raises(ParameterError, match=name):
         window_layout((100.0, 100.0), window, stride)
-
-
-def test_the_lowest_points_of_cells_are_those_of_the_device_and_of_a_loop_by_x_and_y(rng):
-    n, shape, extent = 3 * PIECE + 7, (128, 128), np.array([40, 50], np.int32)
-    xyz = (rng.random((n, 3)) * [60, 45, 0.5]).astype(np.float32)  # some beyond the extent
-    xyz[:, 2] = np.where(rng.random(n) < 0.01, np.inf, np.round(xyz[:, 2], 1))  # few elevations, so that there are ties
-    frame = np.array([-0.3, 0.2, 1.1], np.float32)
-    xyz = xyz[np.lexsort(xyz.T[::-1])]
-    order = rng.permutation(n)
-    lowest, first, rows = lowest_points(xyz[order], xyz[order, 2], frame, extent, shape)
-    first = np.append(order[rows], n)[first]
-    index = cell_index(xyz, frame[:2], frame[2], extent, shape[1])
-    assert (np.asarray(index) == places_in(xyz, frame, extent, shape[1])).all()
-    expected = block_minima(index, xyz[:, 2], shape[0] * shape[1])
-    assert (lowest == np.asarray(expected[0])).all() and (first == np.asarray(expected[1])).all()
-    best = {}
-    for row, cell in enumerate(np.asarray(index).tolist()):
-        if xyz[row, 2] < best.get(cell, (np.inf, 0))[0]:
-            best[cell] = (xyz[row, 2], row)
-    found = {cell: (lowest[cell], first[cell]) for cell in np.flatnonzero(lowest < np.inf).tolist()}
-    assert found == best

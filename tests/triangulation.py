@@ -1,4 +1,4 @@
-"""The triangulation that networks must have, made anew from integer positions: SciPy's, then flips in Python's integers.
+"""The triangulation that networks must have, made anew from integer positions: by a sweep, then flips in Python's integers.
 
 It is the Delaunay triangulation of positions on a lattice. Of four positions on a circle the last, in order of x, then y,
 counts as lifted off the paraboloid, that is as outside the circle of the other three; so the triangulation is unique.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 Position = tuple[int, int]
 
@@ -45,30 +45,10 @@ def triangulation(xy: np.ndarray) -> np.ndarray:
     """
     xy = np.asarray(xy, np.int64)
     p = [(x, y) for x, y in xy.tolist()]
-    triangles = _scipy(xy)
-    if triangles is None:
-        triangles = np.array(_sweep(p))
-    triangles = _flipped(p, triangles)
+    triangles = _flipped(p, np.array(_sweep(p)))
     first = (triangles.argmin(axis=1)[:, None] + np.arange(3)) % 3
     triangles = np.take_along_axis(triangles, first, axis=1)
     return triangles[np.lexsort(triangles.T[::-1])]
-
-
-def _scipy(xy: np.ndarray) -> np.ndarray | None:
-    """SciPy's triangles, if they are a triangulation of all positions and their convex hull."""
-    try:
-        mesh = Delaunay(xy - xy.mean(axis=0))
-    except QhullError:
-        return None
-    triangles = mesh.simplices.astype(np.int64)
-    a, b, c = xy[triangles].transpose(1, 2, 0)
-    row, k = np.nonzero(mesh.neighbors < 0)
-    one, two = xy[triangles[row, (k + 1) % 3]], xy[triangles[row, (k + 2) % 3]]
-    edge = two - one
-    side = edge[:, :1] * (xy[:, 1] - one[:, 1:]) - edge[:, 1:] * (xy[:, 0] - one[:, :1])
-    complete = len(mesh.coplanar) == 0 and len(triangles) == 2 * len(xy) - 2 - len(row)
-    sound = ((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0] > 0).all() and (side >= 0).all()
-    return triangles if complete and sound else None
 
 
 def _sweep(p: list[Position]) -> list[tuple[int, int, int]]:

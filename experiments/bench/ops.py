@@ -145,10 +145,12 @@ def _openings(radius: int) -> dict[str, Callable[[dict[str, Any]], Call]]:
 
 
 def _own_minima(data: dict[str, Any]) -> Call:
-    from jaxfilter.engines.grid.minima import cell_minima
+    from jaxfilter.core.grid import Grid
+    from jaxfilter.engines.grid.cells import lowest_in_cells
 
-    frame, extent = np.array([0, 0, 2], np.float32), np.full(2, -(-data["side"] // 2), np.int32)
-    return lambda: cell_minima(data["xyz"], data["xyz"][:, 2], frame, extent, tuple(extent.tolist()))
+    side, xyz = -(-data["side"] // 2), data["xyz"]
+    grid = Grid(0.0, 0.0, 2.0, side, side)
+    return lambda: lowest_in_cells(grid.flat(xyz), xyz[:, 2], side * side, rows=False)
 
 
 def _numpy_minima(data: dict[str, Any]) -> Call:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+from typing import Any
 
+import jax
 import numpy as np
 
 from .errors import InputError
@@ -14,31 +17,38 @@ MAX_CELLS = 400_000_000
 _PER_POINT, _AT_LEAST = 64, 4_000_000
 
 
+@functools.partial(jax.tree_util.register_dataclass, data_fields=["x0", "y0", "cell", "nx", "ny"], meta_fields=[])
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """``ny`` rows of ``nx`` square cells; the lower left corner of cell (0, 0) lies at (``x0``, ``y0``), local metres."""
+    """``ny`` rows of ``nx`` square cells; the lower left corner of cell (0, 0) lies at (``x0``, ``y0``), local metres. A pytree
+    of five numbers, which may be traced."""
 
-    x0: float
-    y0: float
-    cell: float
-    nx: int
-    ny: int
+    x0: Any
+    y0: Any
+    cell: Any
+    nx: Any
+    ny: Any
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) = (ny, nx); row 0 is the southern edge."""
         return self.ny, self.nx
 
-    def places(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """i32[n], i32[n] row and column of local points [n, >=2]; points outside go to the nearest cell."""
-        ix = np.clip(np.floor((xy[:, 0] - self.x0) / self.cell), 0, self.nx - 1).astype(np.int32)
-        iy = np.clip(np.floor((xy[:, 1] - self.y0) / self.cell), 0, self.ny - 1).astype(np.int32)
-        return iy, ix
+    def single(self) -> Grid:
+        """With lengths in single precision, as kernels have them."""
+        return dataclasses.replace(self, **{name: np.float32(getattr(self, name)) for name in ("x0", "y0", "cell")})
 
-    def flat(self, xy: np.ndarray) -> np.ndarray:
-        """i32[n] row-major cell index of local points [n, >=2]; points outside go to the nearest cell."""
+    def places(self, xy: Any) -> tuple[Any, Any]:
+        """i32[n], i32[n] row and column of local points [n, >=2], NumPy or JAX; points outside go to the nearest cell."""
+        xp = xy.__array_namespace__()
+        x, y = (xp.floor((xy[:, axis] - first) / self.cell) for axis, first in enumerate((self.x0, self.y0)))
+        return xp.clip(y, 0, self.ny - 1).astype(np.int32), xp.clip(x, 0, self.nx - 1).astype(np.int32)
+
+    def flat(self, xy: Any, columns: int | None = None) -> Any:
+        """i32[n] row-major cell of local points [n, >=2], as for :meth:`places`, in an array of so many columns, by default
+        ``nx``."""
         row, column = self.places(xy)
-        return row * self.nx + column
+        return row * (columns or self.nx) + column
 
 
 def most_cells(points: int, limit: int = MAX_CELLS) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from .cloud import QUANTUM, PointCloud
 from .errors import InputError
 from .frame import ends
-from .grid import lattice_over
+from .grid import Grid, lattice_over
 
 EXTENT = 2.0**17
 """Metres in x and y from the corner of a cloud up to which its points are filtered; there float32 resolves 8 mm."""
@@ -139,19 +139,12 @@ class Points:
 
 def _occupied(xyz: np.ndarray, high: np.ndarray, cell: np.float32) -> int:
     """How many square cells hold some of the local points f32[m, >=2], none of which is above ``high``."""
-    rows, columns = (int(np.float32(end) / cell) + 1 for end in high)
-
-    def keys(part: np.ndarray) -> np.ndarray:
-        key = (part[:, 0] / cell).astype(np.int64)
-        key *= columns
-        key += (part[:, 1] / cell).astype(np.int64)
-        return key
-
-    if rows * columns > 8 * len(xyz) + 1000:
-        return len(np.unique(keys(xyz)))
-    seen = np.zeros(rows * columns, bool)
+    grid = Grid(0.0, 0.0, cell, *(int(np.float32(end) / cell) + 1 for end in high))
+    if grid.nx * grid.ny > 8 * len(xyz) + 1000:
+        return len(np.unique(grid.flat(xyz)))
+    seen = np.zeros(grid.nx * grid.ny, bool)
     for part in pieces(len(xyz)):
-        seen[keys(xyz[part])] = True
+        seen[grid.flat(xyz[part])] = True
     return int(np.count_nonzero(seen))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import pickle
@@ -75,9 +74,10 @@ class _Kept(NullCache):  # type: ignore[misc]
     """
 
     def __init__(self, function: Any) -> None:
-        self.function = function
+        self.function, self.file = function, Path(function.__code__.co_filename)
         used: Any = (one._cache for one in function.__globals__.values() if isinstance(one, _Interruptible))  # type: ignore[attr-defined]
-        self.sources = {_digest(function.__code__.co_filename)}.union(*(one.sources for one in used))
+        own = sha256(self.file.read_bytes()).digest() if self.file.is_file() else b""
+        self.sources = {own}.union(*(one.sources for one in used))
 
     @property
     def cache_path(self) -> str | None:
@@ -85,19 +85,18 @@ class _Kept(NullCache):  # type: ignore[misc]
         folder = private_folder(Path(own)) if own else cache_folder("numba")
         return None if folder is None else str(folder)
 
-    @functools.cached_property
+    @property
     def stamp(self) -> bytes:
         if b"" in self.sources:
-            raise FileNotFoundError(f"no such file: {self.function.__code__.co_filename}")
+            raise FileNotFoundError(f"no such file: {self.file}")
         return sha256(repr((numba.__version__, sys.version, sorted(self.sources))).encode()).digest()
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         if (folder := self.cache_path) is None:
             return None
-        name = f"{self.function.__module__}.{self.function.__qualname__}"
-        code = self.function.__code__
-        key = (code.co_filename, code.co_firstlineno, signature, codegen.magic_tuple(), sys.version)
-        return Path(folder, f"{name}-{sha256(repr(key).encode()).hexdigest()[:32]}.nbc")
+        key = (self.file, self.function.__code__.co_firstlineno, signature, codegen.magic_tuple(), sys.version)
+        name = f"{self.function.__module__}.{self.function.__qualname__}-{sha256(repr(key).encode()).hexdigest()[:32]}"
+        return Path(folder, f"{name}.nbc")
 
     def load_overload(self, signature: Any, context: Any) -> CompileResult | None:
         rtsys.initialize(context)  # all that kept code needs: what Numba knows of functions is for compiling them
@@ -109,9 +108,9 @@ class _Kept(NullCache):  # type: ignore[misc]
             content = path.read_bytes()
             if sha256(content[32:]).digest() != content[:32]:
                 raise ValueError("the file is damaged")
-            if content[32:64] != self.stamp:
-                return None
-            return CompileResult._rebuild(context, *pickle.loads(content[64:]))
+            return (
+                CompileResult._rebuild(context, *pickle.loads(content[64:])) if content[32:64] == self.stamp else None
+            )
         except Exception as error:
             cache_trouble(path.parent, error)
             return None
@@ -129,15 +128,3 @@ class _Kept(NullCache):  # type: ignore[misc]
             cache_trouble(path.parent, error)
         finally:
             part.unlink(missing_ok=True)
-
-
-def _digest(path: str) -> bytes:
-    """SHA-256 of a file; b"" where there is none."""
-    with contextlib.suppress(OSError):
-        return _digest_at(path, os.stat(path).st_mtime_ns)
-    return b""
-
-
-@functools.cache
-def _digest_at(path: str, _: int) -> bytes:
-    return sha256(Path(path).read_bytes()).digest()

@@ -425,7 +425,7 @@ class OST(Filter):
         ``z``: f32[rows, columns], elevations of the padded shape of ``cells``, none missing; ``inside``: bool, not padded, cells
         inside the hull of the lowest points.
         """
-        rows, columns = (int(n) for n in cells.extent)
+        rows, columns = cells.grid.shape
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
         steepest = np.asarray(steepest_drops(z, cells.valid, reach, most=roomy(reach)))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
@@ -439,7 +439,7 @@ class OST(Filter):
         on they are marked; bool[rows, columns]: steep terrain that was given back; and the slope of the landscape
         (steps 4 and 5)."""
         _, _, cells, z, _, steepest, segments, landscape = scene
-        rows, columns = (int(n) for n in cells.extent)
+        rows, columns = cells.grid.shape
         inner = slice(0, rows), slice(0, columns)
         objects, bare = np.zeros(z.shape, bool), np.zeros((rows, columns), bool)
         banked = np.zeros_like(bare)
@@ -514,7 +514,7 @@ class Crossings(NamedTuple):
         """Where the water is."""
         if np.isnan(self.level).all():
             return None
-        x, y, side = (float(v) for v in cells.frame)
+        x, y, side = (float(v) for v in (cells.grid.x0, cells.grid.y0, cells.grid.cell))
         return WaterCells.from_levels(cloud, self.level, (x, y), side)
 
     def at(self, xyz: np.ndarray, cells: Cells) -> list[np.ndarray]:

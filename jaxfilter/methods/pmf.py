@@ -207,7 +207,7 @@ class PMF(LowOutlierFilter):
         (cells, surface), thresholds, xyz = prepared, jnp.asarray(self.thresholds()), jnp.asarray(xyz)
 
         def look(k: jax.Array, before: jax.Array, opened: jax.Array, passed: jax.Array) -> jax.Array:
-            base, drop = cell_values(xyz, (opened, before - opened), cells.frame, cells.extent)
+            base, drop = cell_values(xyz, (opened, before - opened), cells.grid)
             height = xyz[:, 2] - base
             is_object = jax.nn.sigmoid((drop - thresholds[k]) / width)
             holds = 1 - is_object * jax.nn.sigmoid((height - thresholds[k]) / width)

@@ -161,8 +161,8 @@ class SMRF(GridFilter):
 
         below, above = jax.vmap(passed)(ends)
         as_object, as_terrain = below + (step - first) * (above - below), passed(Surface.over(cells, filled))
-        drop = cell_values(xyz, (steepest,), cells.frame, cells.extent)[0]
-        is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cells.frame[2]) / width)
+        drop = cell_values(xyz, (steepest,), cells.grid)[0]
+        is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cells.grid.cell) / width)
         return is_object * as_object + (1 - is_object) * as_terrain
 
 
@@ -187,7 +187,7 @@ class Opened(NamedTuple):
 @functools.partial(jax.jit, static_argnames=("most", "mesh"))
 def _open_cells(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
     """Steps 2 to 4, of the surface without empty cells. ``most``: the largest ``reach`` that this compilation serves."""
-    valid, cell = jnp.asarray(cells.valid), cells.frame[2]
+    valid, cell = jnp.asarray(cells.valid), cells.grid.cell
     low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
     net, cut = jnp.zeros_like(valid), surface
     if mesh:
@@ -212,6 +212,6 @@ def _span_membrane(
     z: jax.Array, steepest: jax.Array, bare: jax.Array, cells: Cells, slope: jax.Array | float
 ) -> tuple[Surface, jax.Array]:
     """The membrane through the cells that are ``bare`` and no objects, and the number of objects, net included."""
-    objects = steepest > slope * cells.frame[2]
+    objects = steepest > slope * cells.grid.cell
     filled = fill_membrane(z, bare & ~objects, cells.valid).z
     return Surface.over(cells, jax.lax.optimization_barrier(filled)), objects.sum(dtype=jnp.int32)

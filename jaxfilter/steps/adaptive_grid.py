@@ -12,10 +12,10 @@ import numpy as np
 
 from ..core.compilation import bucket
 from ..core.errors import InputError
-from ..core.grid import most_cells
+from ..core.grid import Grid, most_cells
 from ..core.points import Points, by_position
 from ..engines.chunks import padded
-from ..engines.grid.cells import block_counts, block_minima, cell_index, padded_shape
+from ..engines.grid.cells import block_minima, padded_shape
 
 REMAINDERS = ("absorbed", "own_cells")
 """What lies beyond the last whole cell joins that cell, or makes a smaller cell of its own (the paper's eqs. 1 and 2)."""
@@ -69,8 +69,8 @@ def lowest_per_adaptive_cell(
     Cells count from the cloud's anchor.
     Raises: InputError if the extent needs too many cells.
     """
-    corner, high = np.array(points.lattice_corner(cell)), points.extent[1]
-    cells = (high - corner) / cell
+    (x0, y0), high = points.lattice_corner(cell), points.extent[1]
+    cells = (high - np.array([x0, y0])) / cell
     whole = np.floor(cells + 1e-9) if remainder == "absorbed" else np.ceil(cells - 1e-6)
     columns, rows = np.maximum(whole, 1).astype(np.int64)
     finest = 2 ** (levels - 1)
@@ -86,13 +86,8 @@ def lowest_per_adaptive_cell(
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
         shape = padded_shape(extent, points.least_shape(cell / 2**level))
-        index = cell_index(
-            xyz,
-            np.float32(corner),
-            np.float32(cell / 2**level),  # halves are exact, so that the levels are nested
-            np.array(extent, np.int32),
-            shape[1],
-        )
+        grid = Grid(x0, y0, cell / 2**level, *extent[::-1])  # halves are exact, so that the levels are nested
+        index = grid.single().flat(xyz, shape[1])
         slopes = cell_slopes(index, xyz, part, shape[0] * shape[1])
         number, first, mean, least = (np.asarray(v) for v in slopes)
         found.append(np.sort(order[first[number > 0]]))
@@ -101,7 +96,7 @@ def lowest_per_adaptive_cell(
         if level < levels - 1:
             split = enough & (mean - least > relative_slope)
             divided.append(int(split.sum()))
-            part &= split[np.asarray(index)]
+            part &= split[index]
     return AdaptiveSeeds(
         rows=np.unique(np.concatenate(found)),
         levels=found,
@@ -146,11 +141,13 @@ def cell_slopes(index: jax.Array, xyz: jax.Array, counted: jax.Array, cells: int
     slope = jnp.minimum(jnp.where(sloped, rise / jnp.where(sloped, run, 1.0), 0.0), MAX_SLOPE)
     step = jnp.rint(slope * _STEPS).astype(jnp.uint32)
     zero = jnp.zeros(cells, jnp.uint32)
-    low, high, others = (zero.at[index].add(v) for v in (step % _LOW, step // _LOW, sloped.astype(jnp.uint32)))
+    low, high, others, number = (
+        zero.at[index].add(v.astype(jnp.uint32)) for v in (step % _LOW, step // _LOW, sloped, counted)
+    )
     total = (high.astype(jnp.float32) * _LOW + low.astype(jnp.float32)) / _STEPS
     least = jnp.full(cells, MAX_SLOPE, jnp.float32).at[index].min(jnp.where(sloped, step / _STEPS, MAX_SLOPE))
     return CellSlopes(
-        number=block_counts(index, counted, cells),
+        number=number.astype(jnp.int32),
         first=first,
         mean=total / jnp.maximum(others, 1).astype(total.dtype),
         least=jnp.where(others > 0, least, 0.0),

@@ -161,14 +161,14 @@ def stack_clouds(
     filter_: Any, taken: list[Points], ready: list[tuple[Any, ...]], names: tuple[str, ...] | None, blocks: int
 ) -> Batch:
     """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
-    groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)
+    groups = _grouped([(*cells.grid.shape, len(xyz)) for cells, xyz, *_ in ready], blocks)
     order = {c: (b, place) for b, group in enumerate(groups) for place, c in enumerate(group)}
     padded = tuple(_block([ready[c] for c in group]) for group in groups)
     return Batch(filter_, padded, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
 
 
 def _block(clouds: list[tuple[Any, ...]]) -> Block:
-    rows, columns = (-(-max(int(cells.extent[a]) for cells, *_ in clouds) // _STEP) * _STEP for a in range(2))
+    rows, columns = (-(-max(cells.grid.shape[a] for cells, *_ in clouds) // _STEP) * _STEP for a in range(2))
     most = -(-max(len(xyz) for _, xyz, *_ in clouds) // (64 * _STEP)) * 64 * _STEP
 
     def fitted(values: Any, lengths: tuple[int, ...]) -> np.ndarray:
@@ -247,7 +247,7 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
 
         def classify(fields: Any, model: Any) -> jax.Array:
             # Those of the surface would be the same, but places in the grid would be found anew for each set.
-            model = model._replace(extent=cloud.cells.extent, frame=cloud.cells.frame)
+            model = model._replace(grid=cloud.cells.grid)
             ground = cloud.real & (dataclasses.replace(filter_, **fields).test(model, cloud.xyz).margin <= 0)
             if what == "ground":
                 return ground

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 
 from ..core.compilation import bucket
-from .planes import Planes, gradient_of
+from .planes import Planes, gradients
 
 ROW_LENGTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
 _Best = tuple[jax.Array, jax.Array, jax.Array]  # score, point and normal of the best plane of every cell
@@ -141,8 +141,7 @@ def consensus_planes(
     weight = near.astype(xyz.dtype)[..., None]
     mean = total((xyz * weight).sum(axis=1)) / jnp.maximum(inliers, 1)[:, None].astype(xyz.dtype)
     x, y, z = jnp.moveaxis((xyz - mean[cell][:, None]) * weight, -1, 0)
-    xx, xy, yy, xz, yz = (total((p * q).sum(axis=1)) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
-    gradient, fitted = gradient_of(inliers, xx, xy, yy, xz, yz)
+    gradient, fitted = gradients(x, y, z, inliers, lambda values: total(values.sum(axis=1)))
     plane = Planes(mean, gradient, fitted)
     centre = jnp.where(fitted[:, None], mean, centre)
     normal = jnp.where(fitted[:, None], plane.normal, normal)

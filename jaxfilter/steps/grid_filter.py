@@ -14,6 +14,7 @@ import numpy as np
 from ..core.compilation import in_turn
 from ..core.errors import check_positive
 from ..core.filter import Filter, Labels, ground_each, group_equal, values_of, watch
+from ..core.grid import Grid
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -31,27 +32,27 @@ class Surface(NamedTuple):
     Attributes:
         z: f32, metres.
         slope: f32, rise over run.
-        extent, frame: as in :class:`jaxfilter.steps.surfaces.Cells`.
+        grid: as in :class:`jaxfilter.steps.surfaces.Cells`.
         limits: what else the method's test needs.
         counts: numbers of cells by what they are, i32[] each.
     """
 
     z: jax.Array
     slope: jax.Array
-    extent: jax.Array | np.ndarray
-    frame: jax.Array | np.ndarray
+    grid: Grid
     limits: Any = None
     counts: dict[str, Any] = {}  # noqa: RUF012, never changed
 
     @classmethod
     def over(cls, cells: Cells, z: jax.Array, limits: Any = None, counts: dict[str, Any] | None = None) -> Surface:
         """Elevations of cells, f32[rows, columns], with their slopes."""
-        return cls(z, _slopes(z, cells.extent, cells.frame), cells.extent, cells.frame, limits, counts or {})
+        return cls(z, steepness(z, cells.grid.shape, cells.grid.cell), cells.grid, limits, counts or {})
 
     def at(self, xyz: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
         """Height of points f32[n, 3] above the surface, metres, and its slope, rise over run; bilinear between cell centres."""
         xyz = jnp.asarray(xyz)
-        sample = bilinear((xyz[:, :2] - self.frame[None, :2]) / self.frame[2] - 0.5, self.extent, self.z.shape[1])
+        at = (xyz[:, :2] - jnp.stack([self.grid.x0, self.grid.y0])) / self.grid.cell - 0.5
+        sample = bilinear(at, jnp.stack(self.grid.shape), self.z.shape[1])
         return xyz[:, 2] - sample(self.z), sample(self.slope)
 
 
@@ -121,8 +122,8 @@ class GridFilter(Filter):
         if the method bars them. Raises InputError for too many cells.
 
         >>> cells = jf.SMRF().cells(jf.SMRF().points_of(cloud))
-        >>> cells.lowest.shape, np.asarray(cells.extent).tolist(), float(cells.frame[2])
-        ((256, 256), [61, 61], 1.0)
+        >>> cells.lowest.shape, cells.grid.shape, float(cells.grid.cell)
+        ((256, 256), (61, 61), 1.0)
         """
         x, y = points.offset(self.cell)
         corner = (x - self.cell / 2, y - self.cell / 2) if self.CENTRED else (x, y)
@@ -276,16 +277,11 @@ def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
 
 
 @jax.jit
-def _slopes(z: jax.Array, extent: jax.Array, frame: jax.Array) -> jax.Array:
-    return steepness(z, extent, frame[2])
-
-
-@jax.jit
 def _between(surface: Surface, xyz: jax.Array) -> Heights:
     """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]
     tables = (surface.z, surface.slope, highest, lowest)
-    base, slope, ceiling, floor = cell_values(xyz, tables, surface.frame, surface.extent)
+    base, slope, ceiling, floor = cell_values(xyz, tables, surface.grid)
     return Heights(z - base, slope, z - ceiling, floor - z)
 
 

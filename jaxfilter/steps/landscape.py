@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.grid import Grid
+from ..engines.grid.cells import inside
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.sampling import bilinear
 from .surfaces import Cells, hold_against, steepness
@@ -37,23 +40,22 @@ class Landscape:
 
         ``sigma``: standard deviation of the weights, metres.
         """
-        cell = float(cells.frame[2])
+        cell = float(cells.grid.cell)
         block = max(1, round(_BLOCK / cell))
         reach = min(math.ceil(3 * sigma / (block * cell)), -(-max(z.shape) // block))  # nothing lies beyond the array
         known = cells.seen, cells.valid, objects
-        slope = _slope(z, known, cells.extent, np.float32(cell), np.float32(sigma), block, reach)
+        slope = _slope(z, known, cells.grid.shape, np.float32(cell), np.float32(sigma), block, reach)
         return cls(slope, cells, block)
 
     def in_cells(self) -> jax.Array:
         """f32[rows, columns]: in each cell, padded cells included."""
-        return _in_cells(self.slope, self.cells.extent, self.cells.lowest.shape, self.block)
+        return _in_cells(self.slope, self.cells.grid.shape, self.cells.lowest.shape, self.block)
 
     def at(self, xyz: np.ndarray) -> np.ndarray:
         """f32[n]: at points f32[n, 3], local metres."""
-        frame, extent = self.cells.frame, self.cells.extent
 
         def sampled(chunk: np.ndarray) -> tuple[jax.Array]:
-            return (_at_points(self.slope, chunk, extent, frame, np.int32(self.block)),)
+            return (_at_points(self.slope, chunk, self.cells.grid, np.int32(self.block)),)
 
         return hold_against(xyz, sampled)[0]
 
@@ -62,7 +64,7 @@ class Landscape:
 def _slope(
     z: jax.Array,
     masks: tuple[jax.Array, jax.Array, jax.Array],
-    extent: jax.Array,
+    extent: tuple[Any, Any],
     cell: jax.Array,
     sigma: jax.Array,
     block: int,
@@ -72,7 +74,7 @@ def _slope(
     objects."""
     seen, valid_cells, objects = masks
     known = seen & valid_cells & ~objects
-    shape = tuple(-(-n // block) for n in z.shape)
+    shape = (-(-z.shape[0] // block), -(-z.shape[1] // block))
 
     def sums(a: jax.Array) -> jax.Array:
         wide = jnp.pad(a, [(0, -n % block) for n in z.shape])
@@ -80,8 +82,7 @@ def _slope(
 
     count = sums(known.astype(jnp.float32))
     blocks = -(-jnp.asarray(extent) // block)
-    row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
-    valid = (row < blocks[0]) & (column < blocks[1])
+    valid = inside(shape, blocks)
     level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
     weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * cell * block / sigma) ** 2)
 
@@ -96,7 +97,7 @@ def _slope(
 
 
 @functools.partial(jax.jit, static_argnames=("shape", "block"))
-def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block: int) -> jax.Array:
+def _in_cells(slope: jax.Array, extent: tuple[Any, Any], shape: tuple[int, int], block: int) -> jax.Array:
     """As :func:`bilinear` at the centres of cells, which form rows and columns: along these first, then across."""
     blocks = -(-jnp.asarray(extent) // block)
 
@@ -113,6 +114,6 @@ def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block
 
 
 @jax.jit
-def _at_points(slope: jax.Array, xyz: jax.Array, extent: jax.Array, frame: jax.Array, block: jax.Array) -> jax.Array:
-    at = (xyz[:, :2] - frame[None, :2]) / (frame[2] * jnp.asarray(block, frame.dtype)) - 0.5
-    return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope)
+def _at_points(slope: jax.Array, xyz: jax.Array, grid: Grid, block: jax.Array) -> jax.Array:
+    at = (xyz[:, :2] - jnp.stack([grid.x0, grid.y0])) / (grid.cell * jnp.asarray(block, grid.cell.dtype)) - 0.5
+    return bilinear(at, -(-jnp.stack(grid.shape) // block), slope.shape[1])(slope)

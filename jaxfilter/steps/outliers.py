@@ -13,6 +13,7 @@ from ..core.errors import ParameterError
 from ..core.frame import perturbed
 from ..core.grid import lattice_over
 from ..core.points import Points, canonical_points, pieces
+from ..engines.grid.cells import lowest_in_cells
 from ..engines.grid.sparse import CellSet
 from ..engines.neighbours import batches, groups, nearest, tree_of
 from ..engines.tin.growth import Outliers
@@ -159,17 +160,14 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
     grid = lattice_over(points.xyz, cell, points.offset(cell))
-    occupied, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
+    occupied, at = CellSet.of(grid, points.xyz)
     coarse = max(15.0, 4.0 * cell)
     z = low_trend(points.xyz, *points.lattice_corner(coarse), coarse)
     np.subtract(points.xyz[:, 2], z, out=z)
     cells = occupied.grown()
     number = cells.find(occupied.row, occupied.column)
-    lowest = np.full((2, len(cells)), np.inf, np.float32)  # +inf in cells that are only beside one with points
-    for part in pieces(len(points)):
-        at[part] = own = number[at[part]]
-        np.minimum.at(lowest[0], own, z[part])
-        np.minimum.at(lowest[1], own, points.xyz[part, 2])
+    at = number[at]
+    lowest = [lowest_in_cells(at, level, len(cells), rows=False)[0] for level in (z, points.xyz[:, 2])]
     around = cells.around()
     low = _Low(cells, cell, around, Basins(_close_gaps(lowest[0], around), around), *lowest)
     level = np.full(len(cells), -np.inf, np.float32)
@@ -329,8 +327,8 @@ def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.nda
     if most > 0 and len(points) > 0:
         side = radius / _STEPS
         grid = lattice_over(points.xyz, side)
-        shape = grid.ny, grid.nx + _STEPS  # what lies beyond a row is not in the next one
-        cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), shape)
+        grid = dataclasses.replace(grid, nx=grid.nx + 1 + _STEPS)  # what lies beyond a row is not in the next one
+        cells, at = CellSet.of(grid, points.xyz)
         few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
     return low
 
@@ -362,9 +360,9 @@ def pits(xyz: np.ndarray, cells: Cells, depth: float, largest: float) -> np.ndar
 
     The disk of the closing is as wide as they may be. What is long, such as a ditch, is no pit.
     """
-    rows, columns = (int(n) for n in cells.extent)
+    rows, columns = cells.grid.shape
     z, seen = (np.array(v)[:rows, :columns] for v in (cells.lowest, cells.seen))
-    side = float(cells.frame[2])
+    side = float(cells.grid.cell)
     reach = max(1, round(math.sqrt(largest) / 2 / side))
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disk = i * i + j * j <= reach * reach

@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import scipy
 
-from ..engines.grid.minima import places_in
 from .sensors import spreads
 from .surfaces import Cells
 
@@ -28,7 +27,7 @@ def overhangs(xyz: np.ndarray, cells: Cells, bare: np.ndarray, step: float, reac
         step: metres; so far apart in elevation points of two cells still go on. reach: cells from that terrain, at most.
     """
     rows, columns = bare.shape
-    at = places_in(xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
+    at = cells.grid.flat(xyz, columns)
     own = np.flatnonzero(scipy.ndimage.binary_dilation(bare, iterations=reach).ravel()[at])
     own = own[np.lexsort((xyz[own, 2], at[own]))]
     cell, z, number = at[own], xyz[own, 2], np.arange(len(own))

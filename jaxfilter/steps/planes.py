@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from ..core.arrays import operation, takes
+from ..core.arrays import operation
+from ..engines.plane_sums import slopes_by_sums
 
 _DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
 
@@ -43,15 +45,20 @@ class Planes(NamedTuple):
         return jnp.rad2deg(jnp.arctan(jnp.linalg.norm(self.gradient, axis=-1)))
 
 
-@takes(count="number[B]", xx="f32[B]", xy="f32[B]", yy="f32[B]", xz="f32[B]", yz="f32[B]")
-def gradient_of(
-    count: jax.Array, xx: jax.Array, xy: jax.Array, yy: jax.Array, xz: jax.Array, yz: jax.Array
+def gradients(
+    x: jax.Array, y: jax.Array, z: jax.Array, count: jax.Array, total: Callable[[jax.Array], jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """f32[B, 2]: gradients from how many points there are and their sums of products about the mean; bool[B]: whether they
-    determine one. The gradient is zero where they do not: fewer than three points, or all on one line in x and y."""
-    determinant = xx * yy - xy * xy
+    """f32[B, 2]: gradients of planes through points; bool[B]: whether these determine one. The gradient is zero where they do
+    not: fewer than three points, or all on one line in x and y.
+
+    Args:
+        x, y, z: coordinates of points about the mean of their block; zero for those that do not count.
+        count: points of each block, [B]. total: sums over blocks, [B], of what points have.
+    """
+    xx, xy, yy, xz, yz = (total(p * q) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
+    along_x, along_y, determinant = slopes_by_sums(xx, xy, yy, xz, yz)
     determined = (determinant > _DEGENERATE * (xx + yy) ** 2) & (count >= 3)
-    scaled = jnp.stack([yy * xz - xy * yz, xx * yz - xy * xz], axis=-1)
+    scaled = jnp.stack([along_x, along_y], axis=-1)
     return jnp.where(determined[:, None], scaled / jnp.where(determined, determinant, 1)[:, None], 0), determined
 
 
@@ -75,9 +82,7 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     mean = ((xyz - origin) * weight).sum(axis=1) / count
     centre = origin[:, 0] + mean
     x, y, z = jnp.moveaxis((xyz - origin - mean[:, None]) * weight, -1, 0)
-    xx, xy, yy, xz, yz = ((p * q).sum(axis=1) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
-    gradient, determined = gradient_of(weight[..., 0].sum(axis=1), xx, xy, yy, xz, yz)
-    return Planes(centre, gradient, determined)
+    return Planes(centre, *gradients(x, y, z, weight[..., 0].sum(axis=1), lambda values: values.sum(axis=1)))
 
 
 @operation(xyz="f32[B, N, 3]")

@@ -11,6 +11,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ..core.grid import grid_over
 from ..core.points import Points
+from ..engines.grid.cells import lowest_in_cells
 from .quadrants import Buckets
 
 _AT_ONCE = 1 << 13
@@ -43,8 +44,8 @@ class PointBoxes:
         """
         from ..engines.grid.boxes import box_minima  # imports Numba
 
-        windows = np.full(self._bins.shape, np.inf, np.float32)
-        np.minimum.at(windows.reshape(-1), self._at, values)
+        rows, columns = self._bins.shape
+        windows = lowest_in_cells(self._at, values, rows * columns, rows=False)[0].reshape(rows, columns)
         half = np.float32(width / 2)
         run = math.floor(float(2 * half / self._side) - 1e-3) - 1
         for axis in range(2):

@@ -9,10 +9,9 @@ import scipy
 
 from ..core.errors import InputError
 from ..core.grid import Grid, lattice_over, most_cells
-from ..core.points import Points, by_position
-from ..engines.grid.cells import padded_shape
-from ..engines.grid.minima import lowest_points, places_in
-from ..engines.grid.sparse import CellSet
+from ..core.points import Points
+from ..engines.grid.cells import lowest_in_cells, lowest_points, padded_shape
+from ..engines.grid.sparse import CellSet, ringed
 from ..engines.grid.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
 
@@ -36,8 +35,8 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     Of equally low points the westernmost is taken, of these the southernmost.
     Raises: ParameterError, InputError if window and stride have too small a common measure for the extent.
     """
-    corner, high = np.array(points.lattice_corner(stride)), points.extent[1]
-    layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride, name)
+    (x0, y0), high = points.lattice_corner(stride), points.extent[1]
+    layout = window_layout((float(high[1] - y0), float(high[0] - x0)), window, stride, name)
     if layout.blocks[0] * layout.blocks[1] > most_cells(len(points)):
         rows, columns = layout.blocks
         hint = "use larger ones" if window == stride else "let the stride divide the window"
@@ -46,12 +45,14 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
             f"{hint}, or remove stray points far from the rest"
         )
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
-    frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)
-    shape = padded_shape(layout.blocks, points.least_shape(layout.block))
-    lowest, first, found = lowest_points(points.xyz, z, frame, blocks, shape)
-    pair, counts = (lowest.reshape(shape), first.reshape(shape)), np.array(layout.counts, np.int32)
-    number = np.unique(np.asarray(window_minima(*pair, counts, layout.width, layout.stride)[1]))
-    return np.sort(found[number[number < len(found)]])
+    apart = layout.width == layout.stride  # then windows are blocks, the last of which reach to the border
+    grid = Grid(x0, y0, layout.block, *(layout.counts if apart else layout.blocks)[::-1]).single()
+    shape = padded_shape(grid.shape, points.least_shape(layout.block))
+    lowest, first, found = lowest_points(points.xyz, grid.flat(points.xyz, shape[1]), z, shape[0] * shape[1])
+    if not apart:
+        pair, counts = (lowest.reshape(shape), first.reshape(shape)), np.array(layout.counts, np.int32)
+        first = np.unique(np.asarray(window_minima(*pair, counts, layout.width, layout.stride)[1]))
+    return np.sort(found[first[first < len(found)]])
 
 
 def lowest_per_cell(points: Points, cell: float, barred: np.ndarray, name: str = "") -> np.ndarray:
@@ -67,12 +68,7 @@ def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray
 
     Cells at the upper edges may reach beyond the cloud. Of equally low points the westernmost is taken.
     """
-    rows = np.flatnonzero(~barred)
-    cell, z = grid.flat(points.xyz[rows]), points.xyz[rows, 2]
-    low = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    np.minimum.at(low, cell, z)
-    lowest = z == low[cell]
-    return _first_of_each(points.xyz, rows[lowest], cell[lowest])
+    return _lowest_rows(points.xyz, grid, barred)
 
 
 def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np.ndarray) -> np.ndarray:
@@ -81,17 +77,13 @@ def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np
     ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the
     westernmost is taken.
     """
-    chosen = np.where(np.logical_and(chosen, cells.seen), cells.lowest, np.float32(-np.inf))
-    (low,) = look_up(points.xyz, cells, chosen)
-    rows = np.flatnonzero(~barred & (points.xyz[:, 2] == low))
-    at = places_in(points.xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), chosen.shape[1])
-    return _first_of_each(points.xyz, rows, at)
+    return _lowest_rows(points.xyz, cells.grid, barred | ~look_up(points.xyz, cells, chosen)[0])
 
 
-def _first_of_each(xyz: np.ndarray, rows: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """i64, ascending: of the points ``rows``, i64[n], of f32[m, 3] the first by position in each ``cell``, i[n]."""
-    order = by_position(xyz[rows])
-    return np.sort(rows[order[np.unique(cell[order], return_index=True)[1]]])
+def _lowest_rows(xyz: np.ndarray, grid: Grid, barred: np.ndarray) -> np.ndarray:
+    z = np.where(barred, np.float32(np.inf), xyz[:, 2])
+    _, first, found = lowest_points(xyz, grid.flat(xyz), z, grid.nx * grid.ny)
+    return np.sort(found[first[first < len(found)]])
 
 
 def lowest_seeds(points: Points, grid: Grid, seed: np.ndarray, counted: np.ndarray) -> np.ndarray:
@@ -113,8 +105,7 @@ def under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float
     Cai et al. (2023), eq. 1.
     """
     at = grid.flat(xyz)
-    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    np.minimum.at(lowest, at[counted], xyz[counted, 2])
+    lowest, _ = lowest_in_cells(at, np.where(counted, xyz[:, 2], np.float32(np.inf)), grid.nx * grid.ny, rows=False)
     return xyz[:, 2] - lowest[at] < height
 
 
@@ -125,8 +116,7 @@ def veiled(points: Points, cells: Cells, around: float) -> np.ndarray:
     See :data:`VEILED`; the third highest of the lowest points of 3 x 3 cells is as high as a plane face rises within a cell.
     There must be two points to a cell in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are.
     """
-    rows, columns = (int(n) for n in cells.extent)
-    at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
+    (rows, columns), at = cells.grid.shape, cells.grid.flat(points.xyz)
     lowest, seen = (np.asarray(values)[:rows, :columns] for values in (cells.lowest, cells.seen))
     uphill = scipy.ndimage.rank_filter(np.where(seen, lowest, np.float32(-np.inf)), -_UPHILL, 3)
     high = points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(ABOVE))[at]
@@ -134,7 +124,7 @@ def veiled(points: Points, cells: Cells, around: float) -> np.ndarray:
         np.where(seen, np.bincount(at, weight, rows * columns).reshape(rows, columns), 0)
         for weight in (points.weight * high, points.weight)
     )
-    ones = np.ones(2 * math.ceil(around / float(cells.frame[2]) - 1e-6) + 1)
+    ones = np.ones(2 * math.ceil(around / float(cells.grid.cell) - 1e-6) + 1)
 
     def total(values: np.ndarray) -> np.ndarray:
         """Exact, since the values are halves of whole numbers."""
@@ -158,8 +148,7 @@ def rising(
     found = np.zeros(len(rows), bool)
     if len(rows) > 0 and len(others) > 0:
         grid = lattice_over(xyz[np.concatenate([rows, others])], 1.001 * beside / _STEPS)  # rounding counts
-        cells, at = CellSet.of(lambda part: grid.places(xyz[others[part]]), len(others), grid.shape)
-        row, column = grid.places(xyz[rows])
-        place = (row.astype(np.int64) + 1) * cells.wide + column + 1
+        cells, at = CellSet.of(grid, xyz[others])
+        place = ringed(*grid.places(xyz[rows]), cells.wide)
         mark(found, xyz[others], at, cells.key, cells.wide, _STEPS, xyz[rows], place, beside, steepest, _LEVEL, sides)
     return found

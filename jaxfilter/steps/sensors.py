@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.points import Points, pieces
+from ..engines.plane_sums import slopes_by_sums
 
 AIRBORNE, DRONE, MATCHING, MOBILE = KINDS = "airborne lidar", "drone lidar", "image matching", "mobile"
 """The kinds of sensors."""
@@ -97,8 +98,8 @@ def spreads(xyz: np.ndarray, cells: np.ndarray) -> np.ndarray:
     xyz = xyz - np.repeat(np.add.reduceat(xyz, start) / number[:, None], number, axis=0)
     x, y, z = xyz.T
     xx, xy, yy, xz, yz, zz = (np.add.reduceat(v, start) for v in (x * x, x * y, y * y, x * z, y * z, z * z))
-    det = xx * yy - xy * xy
+    along_x, along_y, det = slopes_by_sums(xx, xy, yy, xz, yz)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rest = zz - (xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy)) / det
+        rest = zz - (xz * along_x + yz * along_y) / det
         spread = np.sqrt(np.maximum(rest, 0) / (number - 3))
     return np.where((number >= 6) & (det > 1e-3 * xx * yy), spread, np.nan)

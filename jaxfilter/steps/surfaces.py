@@ -6,17 +6,17 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.grid import grid_over
+from ..core.grid import Grid, grid_over
 from ..core.points import Points, pieces
 from ..engines.chunks import in_chunks
-from ..engines.grid.cells import cell_index, padded_shape
-from ..engines.grid.minima import cell_minima, places_in
+from ..engines.grid.cells import lowest_in_cells, padded_shape
 from ..engines.grid.morphology import progressive_opening
 
 MAX_SURFACE_CELLS = 100_000_000  # about 10 GB
@@ -28,7 +28,7 @@ _IN_FLIGHT = 8  # chunks that may be computed at once
 
 @functools.partial(
     jax.tree_util.register_dataclass,
-    data_fields=["lowest", "seen", "valid", "extent", "frame"],
+    data_fields=["lowest", "seen", "valid", "grid"],
     meta_fields=[],
 )
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,15 +39,18 @@ class Cells:
         lowest: f32, metres; zero in empty cells.
         seen: bool, cells with points.
         valid: bool, cells of the true extent.
-        extent: i32[2], true number of rows and columns.
-        frame: f32[3], x and y of the lower left corner and side of a cell, metres.
+        grid: the true cells; lengths are f32.
     """
 
     lowest: np.ndarray | jax.Array
     seen: np.ndarray | jax.Array
     valid: np.ndarray | jax.Array
-    extent: np.ndarray | jax.Array
-    frame: np.ndarray | jax.Array
+    grid: Grid
+
+    @property
+    def frame(self) -> jax.Array:
+        """f32[3], x and y of the lower left corner and side of a cell, metres."""
+        return jnp.stack([self.grid.x0, self.grid.y0, self.grid.cell])
 
     def checked(self) -> Cells:
         """The same cells; those outside the extent, and those whose elevation is NaN or infinite, count as empty.
@@ -58,9 +61,6 @@ class Cells:
         if len(set(shapes.values())) != 1 or len(shapes["lowest"]) != 2:
             got = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
             raise InputError(f"Cells: {got}: arrays of one shape (rows, columns) are needed")
-        for name, length in (("extent", 2), ("frame", 3)):
-            if np.shape(getattr(self, name)) != (length,):
-                raise InputError(f"Cells: {name} of shape {np.shape(getattr(self, name))}: ({length},) is needed")
         seen = self.seen & self.valid & jnp.isfinite(self.lowest)
         return dataclasses.replace(self, lowest=jnp.where(seen, self.lowest, 0), seen=seen)
 
@@ -89,36 +89,32 @@ def lowest_cells(
     Raises: InputError if there would be too many cells.
     """
     xyz = points.xyz
-    grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_SURFACE_CELLS)
+    grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_SURFACE_CELLS).single()
     shape = padded_shape(grid.shape, least or points.least_shape(cell))
-    extent = np.asarray(grid.shape, np.int32)
-    frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
     z = xyz[:, 2]
     if barred is not None and barred.any():
         z = np.where(barred, np.float32(np.inf), z)
-    lowest = cell_minima(xyz, z, frame, extent, shape).reshape(shape)
+    lowest = lowest_in_cells(grid.flat(xyz, shape[1]), z, shape[0] * shape[1], rows=False)[0].reshape(shape)
     seen, valid = lowest < np.inf, np.zeros(shape, bool)
     valid[: grid.ny, : grid.nx] = True
-    return Cells(np.where(seen, lowest, np.float32(0)), seen, valid, extent, frame)
+    return Cells(np.where(seen, lowest, np.float32(0)), seen, valid, grid)
 
 
 def highest_in(xyz: np.ndarray, cells: Cells) -> np.ndarray:
     """f32[rows, columns], without padding: the highest of the points f32[n, 3] in each cell, -inf without any."""
-    rows, columns = (int(n) for n in cells.extent)
-    extent, shape = np.asarray(cells.extent), (rows, columns)
-    return -cell_minima(xyz, -xyz[:, 2], np.asarray(cells.frame), extent, shape).reshape(shape)
+    grid = cells.grid
+    return -lowest_in_cells(grid.flat(xyz), -xyz[:, 2], grid.nx * grid.ny, rows=False)[0].reshape(grid.shape)
 
 
 def number_in(points: Points, cells: Cells) -> np.ndarray:
     """i64[rows, columns], without padding: how many points are in each cell."""
-    rows, columns = (int(n) for n in cells.extent)
-    at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
-    return np.bincount(at, points.weight, rows * columns).reshape(rows, columns)
+    grid = cells.grid
+    return np.bincount(grid.flat(points.xyz), points.weight, grid.nx * grid.ny).reshape(grid.shape)
 
 
 def check_openings(cells: Cells, openings: int, points: Points, name: str) -> None:
     """Raises: InputError, which begins with ``name``, for more openings of all cells than :data:`_WORK` allows."""
-    rows, columns = np.asarray(cells.extent).tolist()
+    rows, columns = cells.grid.shape
     if rows * columns * openings > max(_WORK, _WORK_PER_POINT * len(points)):
         raise InputError(
             f"{name}: {openings:,} openings of {rows:,} x {columns:,} cells for {len(points):,} points: use larger cells or "
@@ -140,7 +136,7 @@ def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) ->
     tables, columns = [np.asarray(surface).reshape(-1) for surface in surfaces], surfaces[0].shape[1]
     found = [np.empty(len(xyz), table.dtype) for table in tables]
     for part in pieces(len(xyz)):
-        at = places_in(xyz[part], np.asarray(cells.frame), np.asarray(cells.extent), columns)
+        at = cells.grid.flat(xyz[part], columns)
         for out, table in zip(found, tables, strict=True):
             out[part] = table[at]
     return found
@@ -164,7 +160,7 @@ def steepest_drops(
 
 
 @jax.jit
-def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
+def steepness(z: jax.Array, extent: tuple[Any, Any] | jax.Array, cell: jax.Array) -> jax.Array:
     """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
 
     def difference(axis: int) -> jax.Array:
@@ -178,9 +174,7 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def cell_values(
-    xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], frame: jax.Array, extent: jax.Array
-) -> tuple[jax.Array, ...]:
+def cell_values(xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], grid: Grid) -> tuple[jax.Array, ...]:
     """f32[n] for every surface, f32[rows, columns]: its value in the cells of points f32[n, >=2]; see :class:`Cells`."""
-    at = cell_index(xyz, frame[:2], frame[2], extent, surfaces[0].shape[1])
+    at = grid.flat(xyz, surfaces[0].shape[1])
     return tuple(surface.reshape(-1)[at] for surface in surfaces)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.frame import ends
+from ..core.grid import Grid
 from ..core.points import pieces
+from ..engines.grid.cells import lowest_in_cells
 from ..engines.grid.sparse import CellSet
 
 _MARGIN = 3  # cells around those with points: one each for interpolation, mean and median
@@ -24,18 +26,16 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
         return y, x
 
     def cells(lag: float) -> tuple[CellSet, np.ndarray]:
-        def places(part: slice) -> tuple[np.ndarray, np.ndarray]:
-            y, x = steps(xyz[part], lag)
+        def places(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            y, x = steps(part, lag)
             return y.astype(np.int32), x.astype(np.int32)
 
         rows, columns = (int(last) + 1 for last in steps(high, lag))
-        return CellSet.of(places, len(xyz), (rows, columns))
+        return CellSet.of(Grid(x0 - lag * size, y0 - lag * size, size, columns, rows), xyz, places)
 
     occupied, at = cells(0.0)
-    low = np.full(len(occupied) + 1, np.inf, np.float32)
-    for part in pieces(len(xyz)):
-        np.minimum.at(low, at[part], xyz[part, 2])
-    smooth, level = _smoothed(occupied, low)
+    low, _ = lowest_in_cells(at, xyz[:, 2], len(occupied), rows=False)
+    smooth, level = _smoothed(occupied, np.append(low, np.float32(np.inf)))
     between, at = cells(0.5)  # the squares between four centres
     nodes = [
         level[_clamped(smooth, between.row + dy, between.column + dx)]
@@ -77,7 +77,7 @@ def _smoothed(occupied: CellSet, low: np.ndarray) -> tuple[CellSet, np.ndarray]:
 
 
 def _clamped(cells: CellSet, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    return cells.find(np.clip(row, 0, cells.shape[0] - 1), np.clip(column, 0, cells.shape[1] - 1))
+    return cells.find(np.clip(row, 0, cells.grid.ny - 1), np.clip(column, 0, cells.grid.nx - 1))
 
 
 def _near_first(reach: int) -> list[tuple[int, int]]:

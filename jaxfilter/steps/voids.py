@@ -25,8 +25,8 @@ def fill_from_triangulation(tin: Tin, cells: Cells, reach: int, longest: float) 
     from ..engines.grid.shapes import draw
 
     z, seen = np.array(cells.lowest), np.array(cells.seen)
-    rows, columns = (int(n) for n in cells.extent)
-    x0, y0, cell = (float(v) for v in cells.frame)
+    rows, columns = cells.grid.shape
+    x0, y0, cell = (float(v) for v in (cells.grid.x0, cells.grid.y0, cells.grid.cell))
     low = lowest(np.where(seen, z, np.float32(np.inf)), 2 * reach + 1)
     x, y = ((tin.xyz[:, axis].astype(np.float64) - corner) / cell - 0.5 for axis, corner in enumerate((x0, y0)))
     column = np.clip(np.rint(x).astype(np.int64), 0, columns - 1)

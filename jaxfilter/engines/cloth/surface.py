@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ...core.arrays import GRID, MASK, operation
+from ..grid.cells import block_minima
 from ..grid.inpaint import fill_nearest, running
 
 
@@ -37,8 +38,8 @@ def lowest_below(
     index, cells = row * shape[1] + column, shape[0] * shape[1]
     if nearest:
         distance = jnp.where(carries, ((at - node.astype(at.dtype)) ** 2).sum(axis=1), jnp.inf)
-        carries &= distance == jnp.full(cells, jnp.inf, distance.dtype).at[index].min(distance)[index]
-    lowest = jnp.full(cells, jnp.inf, xyz.dtype).at[index].min(jnp.where(carries, xyz[:, 2], jnp.inf)).reshape(shape)
+        carries &= distance == block_minima(index, distance, cells)[0][index]
+    lowest = block_minima(index, jnp.where(carries, xyz[:, 2], jnp.inf), cells)[0].reshape(shape)
     carried = lowest < jnp.inf
     return jnp.where(carried, lowest, 0), carried
 

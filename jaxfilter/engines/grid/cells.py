@@ -1,4 +1,4 @@
-"""Points to grid cells: padded grid sizes, cell index, lowest point and number of points per cell.
+"""Points in grid cells: padded grid sizes, and the lowest point per cell.
 
 A grid array has shape [rows, columns]; row 0 is the southern edge. Arrays are padded to a few sizes, so that grids of
 nearly equal size share one compilation; the true number of rows and columns is a traced argument.
@@ -6,11 +6,19 @@ nearly equal size share one compilation; the true number of rows and columns is 
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ...core.arrays import operation, takes
+from ...core.compilation import bucket
+from ...core.points import by_position
+
+_BLOCK = 2**16
+"""Points that the device takes at a time for lowest points."""
 
 
 @takes(n=0)
@@ -44,30 +52,6 @@ def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     return (row < extent[0]) & (column < extent[1])
 
 
-@operation(xy="f32[n, 2+]", corner="f32[2]", cell="number[]", extent="int[2]", columns=1)
-def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Array, columns: int) -> jax.Array:
-    """Row-major cell of every point in a padded grid; points outside the extent go to the nearest cell.
-
-    Args:
-        xy: f32[n, >=2] without NaN, local metres.
-        corner: f32[2], x and y of the lower left corner of cell (0, 0), metres.
-        cell: f32[], side of a cell, metres.
-        extent: i32[2], true number of rows and columns.
-        columns: padded number of columns.
-
-    Returns: i32[n].
-
-    >>> from jaxfilter.engines.grid import cells
-    >>> xy = jnp.array([[0.5, 0.5], [3.5, 1.2]])
-    >>> cells.cell_index(xy, jnp.zeros(2), jnp.float32(1.0), jnp.array([2, 4]), columns=4).tolist()
-    [0, 7]
-    """
-    step = jnp.floor((xy[:, :2] - corner[None]) / cell).astype(jnp.int32)
-    column = jnp.clip(step[:, 0], 0, extent[1] - 1)
-    row = jnp.clip(step[:, 1], 0, extent[0] - 1)
-    return row * columns + column
-
-
 @operation(index="int[n]", z="f32[n]", cells=1)
 def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array, jax.Array]:
     """Lowest elevation of every cell, and the first point that has it.
@@ -92,7 +76,60 @@ def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array,
     return lowest, first
 
 
-@operation(index="int[n]", counted="bool[n]", cells=1)
-def block_counts(index: jax.Array, counted: jax.Array, cells: int) -> jax.Array:
-    """i32[cells]: number of points per cell, of those with ``counted``, bool[n]; ``index`` is i32[n]."""
-    return jnp.zeros(cells, jnp.int32).at[index].add(counted.astype(jnp.int32))
+@functools.partial(jax.jit, donate_argnums=0)
+def _lower(lowest: jax.Array, index: jax.Array, z: jax.Array) -> jax.Array:
+    return lowest.at[index].min(z)
+
+
+@functools.partial(jax.jit, donate_argnums=0)
+def _sooner(first: jax.Array, lowest: jax.Array, index: jax.Array, z: jax.Array, start: jax.Array) -> jax.Array:
+    row = start + jnp.arange(len(z), dtype=jnp.int32)
+    return first.at[index].min(jnp.where((z == lowest[index]) & (z < jnp.inf), row, jnp.iinfo(jnp.int32).max))
+
+
+def lowest_in_cells(index: np.ndarray, z: np.ndarray, cells: int, rows: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`block_minima` of a cloud: blocks of points, and tables of cells, have padded sizes, so that none compiles anew.
+
+    Args:
+        index: i[n], cell of every point; z: f32[n] without NaN, metres; +inf for points that do not count.
+        cells: their number. rows: whether rows are asked for, which take twice as long.
+
+    Returns: f32[cells], +inf in empty cells; i32[cells], the lowest row among equally low points, ``n`` in empty cells, or
+        i32[0].
+    """
+
+    def blocks() -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        for start in range(0, len(z), _BLOCK):
+            part, at, low = (
+                slice(start, start + _BLOCK),
+                np.zeros(_BLOCK, np.int32),
+                np.full(_BLOCK, np.inf, np.float32),
+            )
+            size = len(z[part])
+            at[:size], low[:size] = index[part], z[part]
+            yield start, at, low
+
+    size = bucket(cells)
+    lowest = jnp.full(size, jnp.inf, jnp.float32)
+    for _, at, low in blocks():
+        lowest = _lower(lowest, at, low)
+    first = jnp.full(size if rows else 0, len(z), jnp.int32)
+    for start, at, low in blocks() if rows else ():
+        first = _sooner(first, lowest, at, low, np.int32(start))
+    return np.asarray(lowest)[:cells], np.asarray(first)[:cells]
+
+
+def lowest_points(
+    xyz: np.ndarray, index: np.ndarray, z: np.ndarray, cells: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The lowest points of cells, of equally low ones the first in the order of :func:`jaxfilter.core.points.by_position`.
+
+    Args: xyz: f32[n, >=2], local metres; others as for :func:`lowest_in_cells`.
+
+    Returns: f32[cells], the elevations; i32[cells], the numbers of the points, as many as there are for cells without any; and
+        i64[k], rows of all lowest points, by number.
+    """
+    lowest, _ = lowest_in_cells(index, z, cells, rows=False)
+    found = np.flatnonzero((z == lowest[index]) & (z < np.inf))
+    found = found[by_position(xyz[found])]
+    return lowest, lowest_in_cells(index[found], z[found], cells)[1], found

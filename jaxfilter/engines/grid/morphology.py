@@ -170,12 +170,6 @@ def _dilated(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: j
     return ~_eroded(jnp.where(valid, ~z, _beyond(z)), radius, reach, element)
 
 
-def _opened(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
-    """:func:`opening` of integers."""
-    eroded = _eroded(jnp.where(valid, z, _beyond(z)), radius, reach, element)
-    return jnp.where(valid, _dilated(eroded, radius, reach, element, valid), z)
-
-
 @functools.cache
 def _rims(reach: int) -> tuple[np.ndarray, np.ndarray]:
     """What the disk of every radius up to ``reach`` has beyond the five disks of a radius less by one that lie in it.
@@ -278,7 +272,9 @@ def opening(
     0.0
     """
     there = jnp.ones(jnp.shape(z), bool) if valid is None else valid
-    return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
+    radius, level = jnp.asarray(radius, jnp.int32), _ordered(z)
+    eroded = _eroded(jnp.where(there, level, _beyond(level)), radius, reach, element)
+    return _ordered(jnp.where(there, _dilated(eroded, radius, reach, element, there), level), z.dtype)
 
 
 @takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS, count="int[]")

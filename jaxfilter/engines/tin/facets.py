@@ -154,13 +154,6 @@ def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
     return jax.tree.map(lambda limit: limit[nodes] if np.ndim(limit) > 0 else limit, rule)
 
 
-@takes(two_sided="bool[]", p="f32?[3]", corners="f32?[3, 3]")
-def judge_one(rule: Any, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
-    """Apply a rule to one point f32[3] over one facet f32[3, 3]; see :func:`judge`."""
-    verdict: Verdict = rule.verdict(facet_score(p, corners), two_sided)
-    return verdict
-
-
 FACET_QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 

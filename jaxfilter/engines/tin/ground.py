@@ -22,6 +22,7 @@ from ...core.compilation import on_processor
 from ...core.frame import QUANTUM, perturbed
 from ...core.result import Decision
 from ..chunks import in_chunks
+from ..grid.sparse import merged
 from ..ground import GroundNodes
 from .facets import judge, mirrored, of_nodes, single
 from .growth import KEPT_QUANTITIES, Growth, LowestPerCell, Mirror, Network, Spaced
@@ -143,7 +144,7 @@ class GroundTin(GroundNodes):
     def drop(self, nodes: np.ndarray) -> None:
         """Make vertices, i64, not on the hull, ordinary nodes that are no ground: they are to be tested, with those around."""
         self.ground[nodes], self._open[nodes], self.left = False, True, self.left + len(nodes)
-        self._loose, self._put_off = _together(self._loose, nodes), self.todo
+        self._loose, self._put_off = merged(self._loose, nodes), self.todo
         self.tin.now += 1
         self.tin.remove(nodes)
         self._again()
@@ -158,7 +159,7 @@ class GroundTin(GroundNodes):
             return True
         self.todo, self._suspects = self._suspects, self._suspects[:0]
         self._open[self.todo], self.left = True, self.left + len(self.todo)
-        self._loose = _together(self._loose, self.todo)
+        self._loose = merged(self._loose, self.todo)
         self.tin.locate(self.todo)
         return len(self.todo) > 0
 
@@ -179,7 +180,7 @@ class GroundTin(GroundNodes):
         further = [self._put_off, imaged[tin.stamp[self.image_in[imaged]] == tin.now]]
         if len(self._loose) or (tin.stamp[tin.where[self._outside]] == tin.now).any():
             further.append(self._outside)
-        self.todo = _together(self._loose, np.concatenate(further))
+        self.todo = merged(self._loose, np.concatenate(further))
 
     def _border_follows(self) -> None:
         """Border nodes take the elevation of the vertex nearest to them that is none."""
@@ -313,7 +314,7 @@ class GroundTin(GroundNodes):
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
         self.image_in[nodes[steep]] = there
-        self._imaged = _together(self._imaged, nodes[steep])
+        self._imaged = merged(self._imaged, nodes[steep])
         second = self._judge(nodes[steep], there, tested, image)
         replace = second["accepted"] | (not mirror.nearest)
         for name in tested:
@@ -350,11 +351,3 @@ class GroundTin(GroundNodes):
         self.height[nodes], self.slope[nodes] = final["height"], final["slope"]
         vertices = nodes[tin.vertex[nodes]]
         self.height[vertices] = self.net.xyz[vertices, 2] - tin.xyz[vertices, 2]
-
-
-def _together(some: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """i64, ascending: nodes that are in one or in both."""
-    if len(others) == 0:
-        return some
-    nodes = np.sort(np.append(some, others), kind="stable")  # merges what is sorted
-    return nodes[np.append(True, nodes[1:] != nodes[:-1])]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from scipy.spatial import ConvexHull
+import shapely
 
 from ...core.errors import InputError
 from ...core.points import morton
@@ -86,22 +86,7 @@ class Linear:
 def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """A function from positions f64[q, 2] to bool[q]: within the convex hull of the points [m, >=2], or on its edge."""
     xy = xyz[:, :2].astype(np.float64)
-    corners = xy[ConvexHull(xy - xy.mean(axis=0)).vertices]  # counterclockwise
-    near = 1e-9 * float(np.ptp(corners, axis=0).max())
-    lower, upper = _lower_side(corners), _lower_side(-corners)  # the upper side is the lower one upside down
-    return lambda at: _over(lower, at, near) & _over(upper, -at, near)
-
-
-def _lower_side(corners: np.ndarray) -> np.ndarray:
-    """f64[k, 2]: the corners of a convex polygon along its lower side, from left to right."""
-    turned = np.roll(corners, -np.lexsort(corners.T[::-1])[0], axis=0)
-    return turned[: turned[:, 0].argmax() + 1]
-
-
-def _over(side: np.ndarray, at: np.ndarray, near: float) -> np.ndarray:
-    """bool[q]: not left of a lower side, and not below it; for f64[q, 2] right of it as for its right end."""
-    x = at[:, 0].clip(side[0, 0], side[-1, 0])
-    edge = (np.searchsorted(side[:, 0], x) - 1).clip(0)
-    dx, dy = np.diff(side, axis=0)[edge].T
-    over = dx * (at[:, 1] - side[edge, 1]) - dy * (x - side[edge, 0])
-    return (at[:, 0] >= side[0, 0] - near) & (over >= -near * np.hypot(dx, dy))
+    near = 1e-9 * float(np.ptp(xy, axis=0).max())
+    hull = shapely.linestrings(xy).convex_hull.buffer(near, join_style="mitre")
+    shapely.prepare(hull)
+    return lambda at: shapely.intersects_xy(hull, at)

@@ -167,14 +167,8 @@ def _surrounds(around: np.ndarray, inside: np.ndarray) -> bool:
     """Whether every one of the points ``inside`` lies in the convex hull of the positions ``around``, both f32[., 2]."""
     if len(around) < 3:
         return False
-    from scipy.spatial import (
-        ConvexHull,
-        QhullError,
-    )  # OST does without, and this import is a sixth of its time for a small file
+    import shapely  # other methods do without, and this import takes a part of the time of a small file
 
-    try:
-        hull = ConvexHull(around.astype(np.float64))
-    except QhullError:
-        return False
-    normal, offset = hull.equations[:, :2], hull.equations[:, 2]
-    return bool((normal @ inside.astype(np.float64).T + offset[:, None] < -PAD / 2).all())
+    hull = shapely.linestrings(around.astype(np.float64)).convex_hull.buffer(-PAD / 2)
+    shapely.prepare(hull)
+    return bool(shapely.contains_xy(hull, inside.astype(np.float64)).all())

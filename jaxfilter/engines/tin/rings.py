@@ -5,19 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from ..compiled import compiled
+from ..plane_sums import slopes_by_sums
+from .walks import ahead, behind, place
+
+_slopes = compiled(slopes_by_sums)
 
 
 @compiled
 def _beside(triangles, neighbours, t, node):
     """Of a triangle at a node: the vertex after the node, the one across the edge facing it (-1: none), and the next triangle."""
     row = np.uint32(t)
-    k = 0 if triangles[row, 0] == node else 1 if triangles[row, 1] == node else 2
-    one, two = (1, 2) if k == 0 else (2, 0) if k == 1 else (0, 1)
-    a, b, apex = triangles[row, one], triangles[row, two], np.int32(-1)
+    k = place(triangles, t, node)
+    a, b, apex = triangles[row, ahead(k)], triangles[row, behind(k)], np.int32(-1)
     if a >= 0 and b >= 0:
         across = np.uint32(neighbours[row, k])
         apex = np.int32(triangles[across, 0] + triangles[across, 1] + triangles[across, 2] - a - b)
-    return a, apex, neighbours[row, one]
+    return a, apex, neighbours[row, ahead(k)]
 
 
 @compiled
@@ -64,12 +67,9 @@ def residuals(xyz, triangles, neighbours, where, nodes, e):
         if n < 4:
             continue
         cxx, cxy, cyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
-        cxz, cyz = sxz - sx * sz / n, syz - sy * sz / n
-        det = cxx * cyy - cxy * cxy
-        if det <= 1e-6 * cxx * cyy:
-            continue
-        east, north = (cxz * cyy - cyz * cxy) / det, (cyz * cxx - cxz * cxy) / det
-        e[node] = -(sz - east * sx - north * sy) / n
+        east, north, det = _slopes(cxx, cxy, cyy, sxz - sx * sz / n, syz - sy * sz / n)
+        if det > 1e-6 * cxx * cyy:
+            e[node] = -(sz - east / det * sx - north / det * sy) / n
 
 
 @compiled
