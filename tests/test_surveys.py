@@ -206,8 +206,8 @@ class Dies(Here):
         super().__init__()
         self.function, self.after = function, after
 
-    def completed(self, seconds):
-        found = super().completed(seconds)
+    def completed(self):
+        found = super().completed()
         if [name for name, _ in self.calls].count(self.function) == self.after:
             raise KeyboardInterrupt
         return found
