@@ -40,10 +40,11 @@ if TYPE_CHECKING:
     from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
+    from .terrain.contours import contours
     from .terrain.interpolation import Interpolation
-    from .terrain.layers import breaklines, chm, contours, count, density, dsm, hillshade, voids
     from .terrain.models import dtm, height_above_ground
     from .terrain.raster import Raster
+    from .terrain.rasters import breaklines, chm, count, density, dsm, hillshade, voids
 
 _HOMES = {
     "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
@@ -57,8 +58,8 @@ _HOMES = {
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports.page": ("report",
     "ReportOptions"), "reports.places": ("review",), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
     "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",),
-    "terrain.layers": ("breaklines", "chm",
-    "contours", "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
+    "terrain.contours": ("contours",), "terrain.rasters": ("breaklines", "chm",
+    "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
     "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -236,28 +236,29 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    outputs: dict[Layer, Place] = {Dtm(): place_of(target)}
-    return make_rasters(what, outputs, ground, cell=cell, interpolation=interpolation, reading=reading, run=run)
+    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation)
+    return make_rasters(what, rasters, ground, reading=reading, run=run)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rasters:
+    """Layers to be made: ``places`` says where each goes, several of them in one folder. ``water``: how they come to know of it;
+    the others are those of :func:`terrain_model`."""
+
+    places: Mapping[Layer, Place]
+    cell: float = 1.0
+    interpolation: Interpolation = Interpolation()
+    water: WaterWanted = WaterWanted()
 
 
 def make_rasters(
-    what: Any,
-    outputs: Mapping[Layer, Place],
-    ground: GroundSource = (GROUND_CLASS,),
-    *,
-    cell: float = 1.0,
-    interpolation: Interpolation = Interpolation(),
-    reading: Reading = Reading(),
-    run: RunOptions = RunOptions(),
-    water: WaterWanted = WaterWanted(),
+    what: Any, rasters: Rasters, ground: GroundSource, *, reading: Reading, run: RunOptions
 ) -> TerrainReport:
-    """Make layers of a file or of a collection in one go, each into a file.
-
-    ``outputs``: the layers, and where they go, several of them in one folder. The other arguments, and what is raised, are those
-    of :func:`terrain_model`.
-    """
-    layers, places = tuple(outputs), list(outputs.values())
-    for layer, place in outputs.items():
+    """Make layers of a file or of a collection in one go, each into a file. Arguments, and what is raised: as of
+    :func:`terrain_model`."""
+    layers, places, cell = tuple(rasters.places), list(rasters.places.values()), rasters.cell
+    interpolation, water = rasters.interpolation, rasters.water
+    for layer, place in rasters.places.items():
         check_suffix(place, layer.SUFFIXES)
     recipe, classes = source_of_ground(ground)
     if BED in (classes or ()):
