@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import pyproj
 from ..core.errors import InputError
 from ..core.units import Units, difference
 from ..files.disk import Bounds
+from ..files.sources import Source
 
 OVERLAP = 0.001
 """Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""
@@ -123,14 +124,14 @@ class Footprints:
         return [tuple((np.array(ring.bounds) + wider).tolist()) for ring in rings]
 
 
-def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:
+def refuse_mixture(sources: Iterable[Source]) -> None:
     """Raises InputError, naming two files, if files differ in horizontal CRS, in what heights count from, or in units.
 
     Files that state no CRS, or nothing of heights, go with those that do, if their units are the same: many surveys have some.
     """
     kinds: dict[tuple[str | None, Units], str] = {}
-    for uri, wkt, unit in zip(uris, wkts, units, strict=True):
-        kinds.setdefault((wkt, unit), uri)
+    for source in sources:
+        kinds.setdefault((source.wkt, source.units), source.uri)
     (_, unit), named = next(iter(kinds.items()))
     systems: list[tuple[str, pyproj.CRS]] = []
     for (wkt, other), uri in kinds.items():
