@@ -354,7 +354,9 @@ def test_a_new_raster_is_a_class_and_a_line_in_the_list(survey, tmp_path, monkey
     cloud = jf.read(survey / "one.laz")
     expected = {least: Echoes(least)(cloud, cloud.classification == 2).values for least in (1, 3)}
     made = make(survey / "in", tmp_path / "out", only=["echoes"], tile=40.0)
-    assert made.rasters.files == [str(tmp_path / "out" / "echoes.tif")] and 0 < expected[3].mean() < expected[1].mean() < 1
+    assert (
+        made.rasters.files == [str(tmp_path / "out" / "echoes.tif")] and 0 < expected[3].mean() < expected[1].mean() < 1
+    )
     np.testing.assert_array_equal(jf.Raster.read(made.rasters.files[0]).values, expected[1])
     assert "enough points, 0 or 1" in (tmp_path / "out" / "survey.html").read_text()
     assert "cells with many echoes" in run("--help").stdout
