@@ -64,10 +64,6 @@ class Findings:
                 told.append(f"{words}: {len(found)} ({examples}{'; ...' if len(found) > most else ''})")
         return told
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return dataclasses.asdict(self)
-
 
 class Footprints:
     """An index of n axis-parallel closed rectangles.
@@ -95,15 +91,14 @@ class Footprints:
         those from ``least`` on, the largest first."""
         one, other = self.known[self.tree.query(self.boxes)]
         pair = np.column_stack([one, other])[one < other]
-        a, b = np.moveaxis(self.bounds[pair], 1, 0)
+        a, b = self.bounds[pair].swapaxes(0, 1)
         sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-        areas = [np.prod(each[:, 2:] - each[:, :2], axis=1) for each in (a, b)]
+        areas = ((each[:, 2:] - each[:, :2]).prod(axis=1) for each in (a, b))
         with np.errstate(invalid="ignore", divide="ignore"):
-            share = np.where((sides > 0).all(axis=1), np.prod(sides, axis=1) / np.minimum(*areas), 0.0)
+            share = np.where((sides > 0).all(axis=1), sides.prod(axis=1) / np.minimum(*areas), 0.0)
         share[(a == b).all(axis=1)] = 1.0
-        kept = np.flatnonzero(share >= least)
-        kept = kept[np.lexsort((pair[kept, 1], pair[kept, 0], -share[kept]))]
-        return pair[kept], share[kept]
+        order = np.lexsort((*pair.T[::-1], -share))[: (share >= least).sum()]
+        return pair[order], share[order]
 
     def holes(self) -> list[Bounds]:
         """The rectangles around places that no footprint covers and footprints enclose, the largest first.

@@ -25,7 +25,7 @@ from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
-from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
+from ..terrain.raster import RasterGrid, packed, profile_of, strips_of, write_mosaic
 from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water
@@ -88,9 +88,7 @@ class RasterProduct(GroundNeeded):
             grid, wide = whole.part(tile.core), whole.part(tuple((tile.core + ring).tolist()))
         if wide.rows * wide.columns > MAX_CELLS:
             cells = f"{wide.rows:,} x {wide.columns:,} cells, more than {MAX_CELLS:,}"
-            raise InputError(
-                f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= to make them larger, or pass tile= to cut smaller tiles"
-            )
+            raise InputError(f"cell={whole.cell:g}: a tile has {cells}: pass a larger cell=, or pass a smaller tile=")
         arrays: dict[str, np.ndarray] = {_CORNER: np.array([dataclasses.astuple(one)[1:] for one in (grid, wide)])}
         for found in self.surroundings(tile, summary):
             around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
@@ -190,8 +188,8 @@ class RasterProduct(GroundNeeded):
                 why = report.set_aside[0]["reason"]
             raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
 
-        crs, kind, nodata = collection.crs, layer.KIND, layer.NODATA
-        return write_mosaic(place, self.grid, crs, kind, nodata, parts, overwrite=replace, check=check)
+        profile = profile_of(self.grid.shape, self.grid.transform, collection.crs, layer.KIND, layer.NODATA)
+        return write_mosaic(place, self.grid, profile, parts, overwrite=replace, check=check)
 
     def _nothing(self, why: str) -> InputError:
         """The error of a product without values, which leaves nothing to go on with."""
