@@ -45,7 +45,6 @@ def __getattr__(name: str) -> Any:
 
         own = {one.lower(): f"{__name__}.{one.lower()}" for one in __all__ if one != name}
         FILTERS.data = own | FILTERS.data  # in this order; classes that are there already stay
-        globals()[name] = FILTERS
         return FILTERS
     if name in __all__:
         return getattr(import_module(f"{__name__}.{name.lower()}"), name)

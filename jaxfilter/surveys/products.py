@@ -127,12 +127,7 @@ def products(
     rasters = make_rasters(what, Rasters(outputs, cell, water=water), source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
-    facts = {
-        "points": rasters.points,
-        "ground": rasters.ground,
-        "found by": measured,
-        "tiles": rasters.tiles,
-        "cells": size,
-    }
-    write_survey_page(folder / PAGE, folder.name, outputs, facts.items(), overwrite=anew.overwrite)
+    found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
+    figures = zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)
+    write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)
