@@ -23,11 +23,10 @@ from ..files.sources import Source, describe_file, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
+from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from .findings import Findings, Footprints
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -139,7 +138,7 @@ class Collection(tuple[Source, ...]):
         >>> print(jf.open("survey", units="m").crs)
         None
         """
-        self._refuse_mixture()
+        refuse_mixture(self)
         stated = [pyproj.CRS.from_wkt(wkt) for wkt in dict.fromkeys(source.wkt for source in self) if wkt is not None]
         return next((crs for crs in stated if vertical(crs)), stated[0] if stated else None)
 
@@ -150,7 +149,7 @@ class Collection(tuple[Source, ...]):
         >>> jf.open("survey", units="m").units.name
         'metre'
         """
-        self._refuse_mixture()
+        refuse_mixture(self)
         return self[0].units
 
     @property
@@ -198,17 +197,8 @@ class Collection(tuple[Source, ...]):
             raise InputError(f"{self.name}: no point is in bounds {words}: pass other bounds= within {data}")
         return Collection(sources, self.unreadable, self.repeated)
 
-    def _refuse_mixture(self) -> None:
-        """Raises: InputError if files differ in CRS or units."""
-        if len(self) > 1:
-            from .findings import refuse_mixture
-
-            refuse_mixture(self)
-
     @functools.cached_property
     def _index(self) -> Footprints:
-        from .findings import Footprints
-
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
@@ -226,11 +216,9 @@ class Collection(tuple[Source, ...]):
         >>> findings.overlaps, findings.gaps, len(findings.no_crs)
         ((), (), 2)
         """
-        from .findings import OVERLAP, Findings
-
         mixed = None
         try:
-            self._refuse_mixture()
+            refuse_mixture(self)
         except InputError as error:
             mixed = str(error)
         pairs, share = self._index.overlaps(OVERLAP)
@@ -273,7 +261,6 @@ class Collection(tuple[Source, ...]):
         1.0
         """
         from ..plots import footprints
-        from .findings import OVERLAP
 
         pairs, _ = self._index.overlaps(OVERLAP)
         gaps, label = self._index.holes(), "points per m2"

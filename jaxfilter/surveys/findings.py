@@ -127,6 +127,8 @@ def refuse_mixture(sources: Iterable[Source]) -> None:
     kinds: dict[tuple[str | None, Units], str] = {}
     for source in sources:
         kinds.setdefault((source.wkt, source.units), source.uri)
+    if len(kinds) < 2:
+        return
     (_, unit), named = next(iter(kinds.items()))
     systems: list[tuple[str, pyproj.CRS]] = []
     for (wkt, other), uri in kinds.items():
