@@ -251,28 +251,6 @@ def files_for_commands() -> Path:
     return folder
 
 
-class Here:
-    """An executor that does each task at once, in this process; the tests of runs have those of other processes."""
-
-    def __init__(self, _: int) -> None:
-        self.done: list[Any] = []
-
-    def room(self) -> int:
-        return 1 - len(self.done)
-
-    def submit(self, tag: Any, function: Any, *arguments: Any) -> None:
-        from jaxfilter.surveys.executors import attempt
-
-        self.done.append((tag, attempt(function, arguments)))
-
-    def completed(self, _: float) -> list[Any]:
-        done, self.done = self.done, []
-        return done
-
-    def close(self) -> None:
-        pass
-
-
 def commands(text: str) -> list[str]:
     """The commands of a block, one after the other."""
     lines = (line.split(" #")[0].strip() for line in re.sub(r"\\\n\s*", " ", text).splitlines())
@@ -294,10 +272,12 @@ def why_not(name: str, command: str) -> str | None:
 def run_shell(example: Example) -> None:
     """Run the commands of a block in a fresh folder; of those that are not run, look up options, arguments and extras."""
     from jaxfilter.cli import main
+    from jaxfilter.surveys.executors import Here  # the tests of runs have other processes
 
     example.namespace.pop("_said", None)
     found = commands(str(example.parsed))
-    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.executors.Pool", Here):
+    pool = mock.patch("jaxfilter.surveys.executors.Pool", lambda _: Here())
+    with tempfile.TemporaryDirectory() as folder, pool:
         if any(why_not(page(example), command) is None for command in found):
             shutil.copytree(files_for_commands(), folder, dirs_exist_ok=True)
         with contextlib.chdir(folder):

@@ -18,6 +18,7 @@ from sphinx.util import logging
 from sphinx_gallery.scrapers import figure_rst
 
 import jaxfilter as jf
+from jaxfilter.terrain.layers import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = {"docs/examples/tutorials": "docs/made/tutorials", "docs/examples/plots": "docs/made/plots"}
@@ -94,8 +95,20 @@ def errors(name: str) -> str:
     )
 
 
+def layers() -> str:
+    """A table of the rasters and lines of a survey, from their list."""
+    text = "| file | what | values | command |\n|---|---|---|---|\n"
+    for name, entry in LAYERS.items():
+        file, kind = f"`{name}{entry.kind.SUFFIXES[0]}`", entry.kind
+        text += f"| {file} | {entry.help} | {kind.TITLE}, {kind.UNITS} | `jaxfilter {name}` |\n"
+    return text
+
+
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Pages of methods get pictures of their stages and their figures from the experiments; that on reports gets one."""
+    """Pages of methods get pictures of their stages and their figures from the experiments; that on reports gets one, and that on
+    products its table."""
+    if docname == "docs/products":
+        source[0] = source[0].replace("<!-- table of layers: docs/extension.py -->\n", layers())
     if docname == "docs/reports":
         stages.sample_report(Path(app.outdir) / "report.html")
         link = '<a href="../report.html">A report to try</a>, of SMRF on a simulated town.'

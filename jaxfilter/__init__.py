@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from .core.version import __version__ as __version__
+from .methods import __all__ as METHODS
 
 if TYPE_CHECKING:
     from . import datasets, plots, scenes
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from .core.reading import Reading
     from .core.result import Decision, FilterResult, GroundFilter, Status
     from .files.reading import Classes, class_changes, read, write
-    from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
+    from .methods import *  # noqa: F403
     from .methods.default import default_filter
     from .reports.info import info
     from .reports.page import ReportOptions, report
@@ -41,39 +42,41 @@ if TYPE_CHECKING:
     from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
+    from .terrain.contours import contours
     from .terrain.interpolation import Interpolation
-    from .terrain.layers import breaklines, chm, contours, count, density, dsm, hillshade, voids
     from .terrain.models import dtm, height_above_ground
     from .terrain.raster import Raster
+    from .terrain.rasters import breaklines, chm, count, density, dsm, hillshade, voids
 
 _HOMES = {
     "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
-    "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD",
-    "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default": ("default_filter",),
-    "files.reading": ("class_changes", "Classes", "read", "write"), "reports.info": ("info",), "terrain.raster": ("Raster",),
-    "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
+    "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": METHODS,
+    "methods.default": ("default_filter",), "files.reading": ("class_changes", "Classes", "read", "write"),
+    "reports.info": ("info",), "terrain.raster": ("Raster",), "surveys.options": ("RunOptions",),
+    "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
     "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
     "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports.page": ("report",
     "ReportOptions"), "reports.places": ("review",), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
     "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",),
-    "terrain.layers": ("breaklines", "chm", "contours", "count", "density", "dsm", "hillshade", "voids"),
-    "reviews.repair": ("apply",), "reviews.survey": ("apply_survey", "review_survey"),
+    "terrain.contours": ("contours",), "terrain.rasters": ("breaklines", "chm",
+    "count", "density", "dsm", "hillshade", "voids"), "reviews.repair": ("apply",),
+    "reviews.survey": ("apply_survey", "review_survey"),
     "reviews.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "Batch", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision",
-    "FILTERS", "FPTD", "Filter", "FilterResult", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
-    "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
-    "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status",
-    "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm", "citation",
-    "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
-    "evaluate", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
+    "Batch", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "Filter", "FilterResult",
+    "ForkError", "GroundFilter", "HeightErrors", "InputError", "Interpolation", "JaxfilterError", "JaxfilterWarning",
+    "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "Scores", "Status",
+    "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm",
+    "citation", "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm",
+    "dtm_rmse", "evaluate", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
     "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
+__all__ += METHODS
 
 
 def __getattr__(name: str) -> Any:

@@ -11,19 +11,14 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
-from click.testing import CliRunner
+from commands import done, facts, run
 from las_files import OFFSETS, make_copc, make_las
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 from jaxfilter.files.sources import Source
 from jaxfilter.surveys.collection import Collection
 
 WKT = pyproj.CRS.from_epsg(32632).to_wkt()
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def tile(uri, x=0.0, y=0.0, side=100.0, count=10, **fields):
@@ -254,18 +249,9 @@ def an_item(href="./a.laz", **properties):
     return item | {"properties": {k: v for k, v in (facts | properties).items() if v is not None}}
 
 
-def write_items(path, items, **how):
-    whole = {"stac_version": "1.0.0", "type": "FeatureCollection", "features": items, "x": [1]}
-    path.write_text(json.dumps(whole, **how))
+def write_items(path, items):
+    path.write_text(json.dumps({"stac_version": "1.0.0", "type": "FeatureCollection", "features": items, "x": [1]}))
     return path
-
-
-@pytest.mark.parametrize("indent", [None, 2])
-def test_items_are_read_as_they_are_written(tmp_path, indent):
-    items = [an_item(f"./tiles/{k} ä]}}.laz", **{"pc:count": k + 1}) for k in range(20)]
-    survey = jf.open(write_items(tmp_path / "a.vpc", items, indent=indent, ensure_ascii=bool(indent)))
-    assert survey.counts.tolist() == list(range(1, 21))
-    assert survey.uris[3] == str(tmp_path / "tiles" / "3 ä]}.laz") and survey[0].date == "2013-07-17"
 
 
 def test_other_writers(tmp_path):
@@ -288,7 +274,7 @@ def test_other_writers(tmp_path):
     assert [s.format for s in survey] == ["copc", "las", "laz", "laz", "laz", "laz", "laz", "laz", "laz"]
     assert survey[4].bounds == (1, 2, 4, 5) and survey[0].z == (3.0, 6.0)
     assert survey[5].metre == survey[6].metre == pytest.approx(1200 / 3937) and survey[7].crs is None
-    assert survey[8].count == 33 and survey[8].identity
+    assert survey[8].count == 33 and survey[8].identity and survey[0].date == "2013-07-17"
     assert [os.path.basename(uri) for uri, _ in survey.unreadable] == ["absent.laz", "ept.json"]
     written = json.loads(survey.to_vpc(tmp_path / "b.vpc").read_text(), parse_constant=pytest.fail)  # NaN is no JSON
     assert [len(written["features"][k]["properties"]["proj:bbox"]) for k in (3, 4)] == [6, 4]
@@ -301,7 +287,7 @@ def features(**properties):
 
 @pytest.mark.parametrize("content, words", [
     ('{"features": {}}', "no list"), ("[]", "no list"), ('{"features": []}', "names no files"),
-    *[(content, "cannot be decoded") for content in ("", '{"features": [', '{"features": [{"assets"')],
+    ("", "cannot be decoded"), ('{"features": [', "cannot be decoded"),
     *[(f'{{"features": [{item}]}}', "item 1 is not as it should be")
       for item in ('{"type": "Feature"}', '{"assets": {}, "properties": {}}')],
     *[(features(**{"pc:count": count}), f"item 1 .*pc:count.*{words} points") for count, words in (
@@ -383,22 +369,21 @@ def test_the_map_of_a_survey():
 
 
 def test_the_command(folder):
-    result = run("info", folder)
-    assert result.exit_code == 0
+    result = done("info", folder)
     assert "4 files, 620 points" in result.stdout and "files without points: 1 (" in result.stdout
     for row in jf.open(folder).table().itertuples():  # a line for each, nothing cut
         spans = [f"{low:.2f} to {high:.2f} " for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
         line = next(line for line in result.stdout.splitlines() if os.path.basename(row.uri) in line)
         assert all(span in line for span in spans) and (not isinstance(row.crs, str) or row.crs in line), line
-    facts = json.loads(run("info", folder / "*.laz", "--json").stdout)
-    assert facts["files"] == 3 and facts["points"] == 520 and [m["points"] for m in facts["members"]] == [120, 400, 0]
-    assert len(facts["findings"]["empty"]) == 1
+    said = facts("info", folder / "*.laz")
+    assert said["files"] == 3 and said["points"] == 520 and [m["points"] for m in said["members"]] == [120, 400, 0]
+    assert len(said["findings"]["empty"]) == 1
     assert run("info", folder, "--vpc", folder / "all.vpc", "--map", folder / "map.png", "--quiet").stdout == ""
     assert (folder / "map.png").read_bytes().startswith(b"\x89PNG")
-    facts = json.loads(run("info", folder / "all.vpc", "--json").stdout)
-    assert facts["points"] == 620 and facts["crs"] is None and "reproject one" in facts["findings"]["mixed"]
-    facts = json.loads(run("info", folder / "b.laz", folder / "below", "--json").stdout)
-    assert facts["files"] == 2 and facts["crs"] == "WGS 84 / UTM zone 32N" and facts["units"] == "metre"
+    said = facts("info", folder / "all.vpc")
+    assert said["points"] == 620 and said["crs"] is None and "reproject one" in said["findings"]["mixed"]
+    said = facts("info", folder / "b.laz", folder / "below")
+    assert said["files"] == 2 and said["crs"] == "WGS 84 / UTM zone 32N" and said["units"] == "metre"
     for arguments, code, words in (
         ([folder / "absent"], 2, "no such file or folder"),
         ([folder / "none*"], 1, "matches no .las or .laz file"),

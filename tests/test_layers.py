@@ -17,9 +17,10 @@ from scipy.spatial import Delaunay, cKDTree
 from test_tiles_run import Here
 
 import jaxfilter as jf
-from jaxfilter.cli import main
+from jaxfilter.cli.terrain import layer_command
 from jaxfilter.surveys.products import Products
-from jaxfilter.terrain.layers import LAYERS
+from jaxfilter.terrain.layer import Layer, setting
+from jaxfilter.terrain.layers import LAYERS, Entry
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 RASTERS = [name for name in LAYERS if name != "contours"]
@@ -324,14 +325,43 @@ def test_all_files_are_cloud_optimized_and_the_page_shows_them(done):
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_path, name):
-    target = tmp_path / f"x{LAYERS[name].SUFFIXES[0]}"
+    layer = LAYERS[name].kind
+    target = tmp_path / f"x{layer.SUFFIXES[0]}"
     report = facts(name, survey / "in", target, "--tile", 80, "--wide-halos", "--workers", 1, "--quiet")
     assert target.read_bytes() == (done[0] / f"{name}{target.suffix}").read_bytes()
     assert report["ground"] == done[1].rasters.ground
     assert [path.name for path in tmp_path.iterdir()] == [target.name]
-    options = {option.name: option.default for option in main.commands[name].params}
-    for field in dataclasses.fields(LAYERS[name]):
+    options = {option.name: option.default for option in layer_command(name).params}
+    for field in dataclasses.fields(layer):
         assert options[field.name] == field.default or field.default is None, field.name
+
+
+@dataclasses.dataclass(frozen=True)
+class Echoes(Layer):
+    """Cells with so many points or more."""
+
+    NAME, TITLE, UNITS, STYLE, SURFACE = "echoes", "enough points", "0 or 1", "magma", False
+    least: int = setting("Number of points that are enough.", 1)
+
+    def values(self, site):
+        places = (site.cloud.coordinates()[:, 1::-1] - [site.grid.bottom, site.grid.left]) // site.grid.cell
+        counts, _, _ = np.histogram2d(*places.T, [np.arange(n + 1) for n in site.grid.shape])
+        return (counts[::-1] >= self.least).astype(np.float32)
+
+
+def test_a_new_raster_is_a_class_and_a_line_in_the_list(survey, tmp_path, monkeypatch):
+    monkeypatch.setitem(LAYERS, "echoes", Entry("test_layers:Echoes", "a mask of cells with many echoes"))
+    cloud = jf.read(survey / "one.laz")
+    expected = {least: Echoes(least)(cloud, cloud.classification == 2).values for least in (1, 3)}
+    made = make(survey / "in", tmp_path / "out", only=["echoes"], tile=40.0)
+    assert (
+        made.rasters.files == [str(tmp_path / "out" / "echoes.tif")] and 0 < expected[3].mean() < expected[1].mean() < 1
+    )
+    np.testing.assert_array_equal(jf.Raster.read(made.rasters.files[0]).values, expected[1])
+    assert "enough points, 0 or 1" in (tmp_path / "out" / "survey.html").read_text()
+    assert "cells with many echoes" in run("--help").stdout
+    completed("echoes", survey / "one.laz", tmp_path / "x.tif", "--least", 3)
+    np.testing.assert_array_equal(jf.Raster.read(tmp_path / "x.tif").values, expected[3])
 
 
 def test_products_by_command(survey, tmp_path):

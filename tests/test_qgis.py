@@ -30,6 +30,7 @@ import shapely
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.session import Session
+from jaxfilter.files.writing import EXTRAS
 from jaxfilter.terrain.layers import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,6 +40,7 @@ sys.path.insert(0, str(FOLDER.parent))
 from jaxfilter_provider import algorithms, command  # noqa: E402
 
 BY_NAME = {one.name: one for one in algorithms.ALGORITHMS}
+CHOICES = {"methods": list(jf.FILTERS), "layers": list(LAYERS), "extras": list(EXTRAS)}
 COMMAND = shutil.which("jaxfilter", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
 
 
@@ -70,7 +72,9 @@ def test_every_flag_is_one_of_the_command_with_the_same_default(name):
 
 
 def test_choices_are_those_of_the_library():
-    assert list(jf.FILTERS) == algorithms.METHODS and list(LAYERS) == algorithms.LAYERS
+    assert [*CHOICES.values()] == [algorithms.METHODS, algorithms.LAYERS, algorithms.EXTRAS], (
+        "to make them anew: python tests/test_qgis.py"
+    )
 
 
 @pytest.mark.parametrize("name, values, line", [
@@ -504,3 +508,7 @@ def test_places_are_listed_carried_out_and_stated_in_qgis(qgis, survey, tmp_path
     )
     assert code == 0 and results["OUTPUT"] == str(page), said
     assert page.exists() and json.loads(page.with_suffix(".json").read_text())
+
+
+if __name__ == "__main__":
+    (FOLDER / "choices.json").write_text(json.dumps(CHOICES, indent=1) + "\n")

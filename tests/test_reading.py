@@ -22,6 +22,7 @@ from las_files import OFFSETS, las_of, make_las, patch, replace_crs
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
+from jaxfilter.cli.terrain import layer_command
 from jaxfilter.core.cloud import as_cloud
 from jaxfilter.core.inputs import COLUMN_TYPES
 from jaxfilter.core.units import not_metric
@@ -576,7 +577,8 @@ def numeric(*commands):
     """Each option that takes numbers once, of the first of these commands that has it, and how many it takes."""
     seen = {}
     for name in commands:
-        command = main.commands[name] if name != "ground" else ground_command(None)
+        command = main.commands[name] if name in main.commands else layer_command(name)
+        command = ground_command(None) if name == "ground" else command
         for option in command.params:
             words = (click.types.StringParamType, click.Path, click.Choice, click.types.BoolParamType)
             if isinstance(option, click.Option) and not option.is_flag and not isinstance(option.type, words):

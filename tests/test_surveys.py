@@ -11,12 +11,12 @@ import sys
 import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import done as completed
+from commands import facts, run
 from las_files import las_of
 from test_tiles_run import Here
 
 import jaxfilter as jf
-from jaxfilter.cli import main
 
 pytestmark = [pytest.mark.usefixtures("plain_maps"), pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")]
 PMF = jf.PMF(max_window=10.0, low_clusters=False)
@@ -35,10 +35,6 @@ def survey(tmp_path_factory):
         fields["classification"] = np.where(np.flatnonzero(rows) % 40 == 0, 9, 5)
         las_of(folder / f"{name}.las", xyz[rows], offsets=np.floor(xyz.min(axis=0)), **fields)
     return folder
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def classes_of(path):
@@ -123,9 +119,7 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     box = (x + 20, y + 10, x + (200 if several else 100), y + 50)
     tiles = ("--tile", 50, "--wide-halos") if several else ()
     words = ("ground", "pmf", where, out, *FIELDS, "--bounds", *box, "--only-ground", *tiles, "--workers", 1)
-    done = run(*words, "--json", "--quiet")
-    assert done.exit_code == 0, done.output
-    report = json.loads(done.stdout)
+    report = facts(*words, "--quiet")
     inside = (before.x >= box[0]) & (before.x < box[2]) & (before.y >= box[1]) & (before.y < box[3])
     assert (report["tiles"] > 4) == several and report["complete"] and report["output"] == str(out)
     found = laspy.read(west)
@@ -139,17 +133,15 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     if not several:
         np.testing.assert_array_equal(new == 2, PMF(cloud).ground)
     same = west.read_bytes()
-    again = run(*words, "--resume" if several else "--overwrite")
-    assert again.exit_code == 0 and west.read_bytes() == same
+    again = completed(*words, "--resume" if several else "--overwrite")
+    assert west.read_bytes() == same
     assert f"{report['ground']:,} of {report['points']:,}" in again.stdout
 
 
 def test_places_to_look_at_are_listed_for_a_folder(survey, tmp_path):
     pytest.importorskip("geopandas")
     words = ("ground", "pmf", survey, tmp_path / "out", "--max-window", 3, "--review", tmp_path / "places.geojson")
-    done = run(*words, "--tile", 60, "--wide-halos", "--workers", 1, "--json", "--quiet")
-    assert done.exit_code == 0, done.output
-    listed = json.loads(done.stdout)["places"]
+    listed = facts(*words, "--tile", 60, "--wide-halos", "--workers", 1, "--quiet")["places"]
     places = json.loads((tmp_path / "places.geojson").read_text())["features"]
     assert len(places) == len(listed) > 0
     volumes = [place["properties"]["volume"] for place in places]
@@ -162,12 +154,11 @@ def test_a_folder_is_classified_in_place(survey, tmp_path):
     files, out = tmp_path / "files", tmp_path / "out"
     shutil.copytree(survey, files)
     how = (*FIELDS, "--tile", 50, "--workers", 1)
-    assert run("ground", "pmf", files, out, *how).exit_code == 0
-    done = run("ground", "pmf", files, "--in-place", *how, "--json", "--quiet")
-    assert done.exit_code == 0, done.output
-    assert las_of_folder(files) == las_of_folder(out) and json.loads(done.stdout)["output"] == str(files)
+    completed("ground", "pmf", files, out, *how)
+    report = facts("ground", "pmf", files, "--in-place", *how, "--quiet")
+    assert las_of_folder(files) == las_of_folder(out) and report["output"] == str(files)
     assert sorted(path.name for path in files.iterdir()) == [".jaxfilter-run", "east.las", "west.las"]
-    assert run("height", files / "west.las", files / "east.las", "--in-place", "--quiet").exit_code == 0
+    completed("height", files / "west.las", files / "east.las", "--in-place", "--quiet")
     assert all("HeightAboveGround" in laspy.read(path).point_format.dimension_names for path in files.glob("*.las"))
 
 
@@ -183,10 +174,8 @@ def test_text_beside_las(survey, tmp_path):
     labels = {}
     for source in (plain, tmp_path / "east.csv"):
         out = tmp_path / f"out-{source.suffix[1:]}"
-        how = (*FIELDS, "--tile", 50, "--workers", 1, "--json", "-q")
-        done = run("ground", "pmf", survey / "west.las", source, f"{out}/", *how)
-        assert done.exit_code == 0, done.output
-        report = json.loads(done.stdout)
+        how = (*FIELDS, "--tile", 50, "--workers", 1, "-q")
+        report = facts("ground", "pmf", survey / "west.las", source, f"{out}/", *how)
         assert report["complete"] and len(report["files"]) == 2 and report["tiles"] > 4
         labels[source.suffix] = jf.read(out / source.name, units="m").reference
     np.testing.assert_array_equal(labels[".las"], labels[".csv"])
@@ -195,8 +184,8 @@ def test_text_beside_las(survey, tmp_path):
     before = (tmp_path / "east.csv").read_text().splitlines()
     assert [line.rpartition(",")[0] for line in lines[1:]] == before[1:]
     csv = tmp_path / "out-csv" / "east.csv"
-    model = run("dtm", survey / "west.las", csv, tmp_path / "dtm.tif", "--filter", "pmf")
-    assert model.exit_code == 0 and np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
+    completed("dtm", survey / "west.las", csv, tmp_path / "dtm.tif", "--filter", "pmf")
+    assert np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
 
 
 class Dies(Here):
@@ -206,8 +195,8 @@ class Dies(Here):
         super().__init__()
         self.function, self.after = function, after
 
-    def completed(self, seconds):
-        found = super().completed(seconds)
+    def completed(self):
+        found = super().completed()
         if [name for name, _ in self.calls].count(self.function) == self.after:
             raise KeyboardInterrupt
         return found
@@ -308,8 +297,8 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
     with pytest.raises(jf.OutputError, match="exists"):
         runs["model"](dry_run=True)
     assert runs["heights"](dry_run=True, overwrite=True, halo=60.0).forecast.times_read > 2
-    result = run("ground", "pmf", survey, tmp_path / "new", "--tile", 80, "--wide-halos", "--dry-run")
-    assert result.exit_code == 0 and "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
+    result = completed("ground", "pmf", survey, tmp_path / "new", "--tile", 80, "--wide-halos", "--dry-run")
+    assert "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -337,19 +326,6 @@ def held(folder):
         content = path.read_bytes() if path.is_file() else None
         found[str(path.relative_to(folder))] = content, facts.st_uid, facts.st_mode, facts.st_mtime_ns
     return found
-
-
-def in_folder(survey, d, name=""):
-    shutil.copytree(survey, d, dirs_exist_ok=True)
-    return ["ground", "pmf", d / name, "--in-place"]
-
-
-RUNS = {
-    "one": lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"],
-    "folder": lambda survey, d: ["ground", "pmf", survey, f"{d}/"],
-    "one in place": lambda survey, d: in_folder(survey, d, "west.las"),
-    "folder in place": in_folder,
-}
 
 
 def of_another(place, folder):
@@ -381,15 +357,14 @@ KINDS = {
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
 @pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("what", ["folder", "folder in place"])
-def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, what, kind, how):
+@pytest.mark.parametrize("in_place", [False, True])
+def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, in_place, kind, how):
     """Whatever it is, it stays, and so does what it leads to."""
     d, name, (folder, content) = tmp_path / "d", ".jaxfilter-run", elsewhere
-    d.mkdir()
+    shutil.copytree(survey, d) if in_place else d.mkdir()
     KINDS[kind](d / name, folder)
-    command = RUNS[what](survey, d)
     before, beside = content(), held(d)
-    done = run(*command, *filter(None, [how]))
+    done = run("ground", "pmf", *([d, "--in-place"] if in_place else [survey, f"{d}/"]), *filter(None, [how]))
     assert done.exit_code in (1, 2) and f"{d / name}: " in done.stderr and "remove it" in done.stderr, done.output
     assert content() == before and held(d) | {".": None} == beside | {".": None}
 

@@ -20,6 +20,7 @@ import click
 
 from ..core.process import collect_seldom
 from ..core.version import __version__
+from ..terrain.layers import LAYERS
 from .options import BREAKLINES, BY_DATA, READING, RUN_OPTIONS, WRITTEN, check_shapes, open_files, take, take_classes
 from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, tell
 from .session import Session, logger, stoppable
@@ -41,7 +42,18 @@ _INSTEAD = {
 
 
 class Program(click.Group):
-    """The command as a whole: it can be stopped, see ``stoppable``, and answers words of other programs."""
+    """The command as a whole: it can be stopped, see ``stoppable``, answers words of other programs, and has a command for each
+    layer."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names, sorted."""
+        return sorted([*self.commands, *LAYERS])
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """A command by its name."""
+        from .terrain import LayerCommand
+
+        return LayerCommand(name) if name in LAYERS else super().get_command(ctx, name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""
@@ -60,7 +72,7 @@ class Program(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Say what to type where the first word is a method, a file, or the command of another program."""
         word = args[0]
-        if not ctx.resilient_parsing and word not in self.commands:
+        if not ctx.resilient_parsing and word not in self.list_commands(ctx):
             from ..methods import FILTERS
 
             words = _INSTEAD.get(word)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,7 +70,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "density": survey.count / area if area else math.nan,
         "crs": None if mixed or survey.crs is None else survey.crs.name,
         "units": None if mixed else str(survey.units),
-        "findings": findings.as_dict(),
+        "findings": dataclasses.asdict(findings),
         "members": survey.table().to_dict(orient="records"),
     }
     return Answer(facts, "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())]))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..terrain.layers import LAYERS
 from .commands import command
 from .options import (
     BOUNDS,
@@ -26,7 +27,7 @@ from .options import (
     take_classes,
     take_recipe,
 )
-from .output import Answer, answer_of, count, plan_answer, run_facts, tell, times
+from .output import SESSION, Answer, answer_of, count, in_session, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
 from .values import BOX, CLASS, IN_OUT, METRES, option
 
@@ -50,39 +51,27 @@ _MODEL = [
     option("--power", "Power of the distance that idw uses.", float, default=2.0),
     option("--level-water/--raw-water", "Give water its level, or the triangles of its points.", bool, default=True),
 ]
-_LEVELS, _GAP = (0.0, 2.0, 5.0, 10.0, 15.0), 10.0
-_FROM = "Metres above the ground from which echoes make a surface."
-_SURFACE = [
-    option("--level levels", _FROM, float, multiple=True, default=_LEVELS),
-    option("--gap", "Radius of the circle of triangles up to which voids are bridged.", METRES, default=_GAP),
-    option("--radius", "The same for levels above 0.  [default: one and a half cells]", METRES),
-]
-_LIGHT = [
-    option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
-    option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
-]
-_LAYERS: dict[str, tuple[str, list[click.Option]]] = {
-    "dtm": ("a terrain model: ground heights", _MODEL),
-    "dsm": ("a surface model without pits: trees, roofs and ground, from the first echoes", _SURFACE),
-    "chm": ("a canopy height model: how high the surface without pits lies above the ground", _SURFACE),
-    "hillshade": ("a shaded relief of the terrain model, 1 to 255, as GDAL has it", [*_LIGHT, *_MODEL]),
-    "density": ("a raster of the number of ground points per square metre", []),
-    "count": ("a raster of the number of ground points in each cell", []),
-    "voids": (
-        "a mask of voids: 1 where no ground point is near the centre of a cell, and 0 elsewhere",
-        [option("--distance", "How far the nearest ground point may be.", METRES, default=5.0)],
-    ),
-    "contours": (
-        "contour lines of the terrain model, a GeoPackage or GeoJSON of lines with their elevation",
-        [option("--interval", "Difference of elevation between lines, in units of Z.", float, default=1.0), *_MODEL],
-    ),
-}
-"""What each command makes, and its own options."""
 
 
-def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
-    kind = "" if name == "contours" else ", as a Cloud Optimized GeoTIFF"
-    help = f"""Make {what}{kind}.
+class LayerCommand(click.Command):
+    """The command of a layer, whose options are made when it is called."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, short_help=f"Make {LAYERS[name].help}.")
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Take the words apart as the layer does."""
+        assert self.name is not None
+        return layer_command(self.name).make_context(info_name, args, parent, **extra)
+
+
+def layer_command(name: str) -> click.Command:
+    """The command of a layer, with its settings as options."""
+    kind = LAYERS[name].kind
+    form = "a GeoPackage or GeoJSON" if kind.SUFFIXES[0] == ".gpkg" else "a Cloud Optimized GeoTIFF"
+    help = f"""Make {LAYERS[name].help}, as {form}.
 
     IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. Large data are made in
     tiles that see the ground around them.
@@ -92,28 +81,33 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
     shared = (*GROUND_OPTIONS, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN_OPTIONS[:-1])
+    own = [*map(_option_of, dataclasses.fields(kind)), *(_MODEL if kind.MODEL else ())]
 
-    @command(IN_OUT, *CELL, *own, *shared, name=name, help=help)
     def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
         from ..files.storage import place_of
-        from ..surveys.model import make_rasters
+        from ..surveys.model import Rasters, make_rasters
         from ..terrain.interpolation import Interpolation
-        from ..terrain.layers import LAYERS
 
-        layer = take(type(LAYERS[name]), options)
+        layer = take(kind, options)
         how = take(Interpolation, options)
         ground = _ground(options)
         files = open_files(session, names, options, layer.SUFFIXES)
         assert files.out is not None
-        outputs, (cell, side) = {layer: place_of(files.out)}, _side(files, options)
-        report = files.do(make_rasters, outputs, ground, cell=cell, interpolation=how)
+        cell, side = _side(files, options)
+        report = files.do(make_rasters, Rasters({layer: place_of(files.out)}, cell, how), ground)
         if report.forecast is not None:
             return plan_answer(report.forecast)
         return _answer(report, files, f"{_cells(report, side)}\n{name}: ", "cell")
 
+    return click.Command(name, params=[IN_OUT, *CELL, *own, *shared, *SESSION], help=help, callback=in_session(run))
 
-for _name, (_what, _own) in _LAYERS.items():
-    _layer_command(_name, _what, _own)
+
+def _option_of(field: dataclasses.Field[Any]) -> click.Option:
+    """The option of a setting of a layer."""
+    many = isinstance(field.default, tuple)
+    words = f"--{field.name.removesuffix('s') if many else field.name} {field.name}"
+    kind = METRES if field.metadata["metres"] else float if many else type(field.default)
+    return option(words, field.metadata["help"], kind, multiple=many, default=field.default)
 
 
 def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
@@ -136,7 +130,7 @@ def _cells(report: TerrainReport, side: str) -> str:
     *READING,
     PRESET_OF_CLASSES,
     option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
-    option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
+    option("--only", f"What is made, with commas between: {','.join(LAYERS)}.  [default: everything]", "NAMES"),
     *CELL,
     BREAKLINES,
     *RUN_OPTIONS[:-1],
@@ -145,15 +139,14 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     """Classify a survey, and make all rasters and contour lines of it, each as one file in the folder OUT.
 
     IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. OUT then holds the folder
-    classified/, as jaxfilter ground makes it, dtm.tif, dsm.tif, chm.tif, hillshade.tif, density.tif, count.tif, voids.tif,
-    contours.gpkg, and survey.html, a page that shows them.
+    classified/, as jaxfilter ground makes it, a file of each raster, such as dtm.tif, contours.gpkg, and survey.html, a page
+    that shows them.
 
     The ground is found by the default method, set up for the data, unless --filter names another one. A run that was stopped
     goes on with --resume.
     """
     from ..files.classes import Classes
     from ..surveys.products import products as make_products
-    from ..terrain.layers import LAYERS
 
     recipe, classes, known = take_recipe(options), take_classes(options), options["classified"]
     if recipe is not None and known:
@@ -162,7 +155,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         raise BadUsage(
             "--classes and --classified: files that are classified are not written: leave out one of the two"
         )
-    only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
+    only = None if options["only"] is None else options["only"].replace(" ", "").split(",")
     if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
         raise BadUsage(f"{names[-1]}: products are several files: name a folder")
     check_shapes(options, options["breaklines"], made=names[-1])

@@ -3,9 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ..core.params import FILTERS
-
 if TYPE_CHECKING:
+    from ..core.params import FILTERS
     from .agptd import AGPTD
     from .atin import ATIN
     from .csf import CSF
@@ -39,12 +38,14 @@ __all__ = [
     "STIN",
 ]
 
-for _name in __all__:
-    if _name != "FILTERS":
-        FILTERS[_name] = f"{__name__}.{_name.lower()}"
-
 
 def __getattr__(name: str) -> Any:
+    if name == "FILTERS":
+        from ..core.params import FILTERS
+
+        own = {one.lower(): f"{__name__}.{one.lower()}" for one in __all__ if one != name}
+        FILTERS.data = own | FILTERS.data  # in this order; classes that are there already stay
+        return FILTERS
     if name in __all__:
         return getattr(import_module(f"{__name__}.{name.lower()}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,7 +14,7 @@ from ..core.errors import InputError
 from ..core.grid import Grid, grid_over
 from ..core.result import FilterResult
 from ..scoring import reference_labels
-from ..terrain.layers import Hillshade
+from ..terrain.rasters import Hillshade
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"

@@ -20,8 +20,7 @@ from ..files.storage import Place
 from ..plots.maps import shade
 from ..terrain.layer import Layer
 
-_PIXELS, _COLOURS = 900, {"dtm": "gist_earth", "chm": "viridis", "density": "cividis", "count": "cividis"}
-"""Of the longer side of a picture; and of rasters; the surface model is drawn as relief, all others in grey."""
+_PIXELS = 900  # of the longer side of a picture
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,"><title>{title} – {subject}</title><style>{style}</style></head>
@@ -44,7 +43,7 @@ def write_survey_page(
     """Write the page beside the files of layers. ``facts``: names and values. Raises: OutputError."""
     cards = "".join(
         f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_draw(layer, place)}</a>'
-        f"<span>{escape(layer.TITLE)}</span></div>"
+        f"<span>{escape(layer.TITLE)}, {escape(layer.UNITS)}</span></div>"
         for layer, place in outputs.items()
     )
     main = f'<div class="cards">{cards}</div><section><h2>Figures</h2>{table((), facts)}</section>'
@@ -66,10 +65,10 @@ def _draw(layer: Layer, place: Place) -> str:
         shape = tuple(math.ceil(side / step) for side in file.shape)
         z = file.read(1, out_shape=shape, masked=True).astype(np.float32).filled(np.nan)
         side = file.transform.a * step
-    if layer.NAME == "dsm":
+    if layer.STYLE == "relief":
         z = shade(z[::-1], side)[::-1]
     low, high = np.nanpercentile(z, (1, 99)) if np.isfinite(z).any() else (0.0, 1.0)
-    colours = colormaps[_COLOURS.get(layer.NAME, "gray")].with_extremes(bad="white")
+    colours = colormaps["gray" if layer.STYLE == "relief" else layer.STYLE].with_extremes(bad="white")
     picture = colours(np.ma.masked_invalid((z - low) / max(high - low, 1e-6)))
     imsave(png := io.BytesIO(), picture, format="png")
     return f'<img alt="{escape(layer.TITLE)}" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">'

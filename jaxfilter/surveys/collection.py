@@ -6,12 +6,11 @@ import dataclasses
 import functools
 import glob
 import math
-import operator
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 import pyproj
@@ -24,23 +23,24 @@ from ..files.sources import Source, describe_file, squares_of, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
+from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .findings import Findings, Footprints
     from .plan import Where
 
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
+T = TypeVar("T")
+R = TypeVar("R")
 Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
 
-class Collection:
-    """n files in the order in which they were named; see :func:`open`. It has a length, and gives a :class:`Source` by its
-    number; what is planned with is there as arrays as well.
+class Collection(tuple[Source, ...]):
+    """n files in the order in which they were named, a tuple; see :func:`open`. What is planned with is there as arrays as well.
 
     Attributes:
         unreadable: (name, reason) of files that were named and cannot be read.
@@ -51,32 +51,15 @@ class Collection:
     (2, True)
     """
 
-    def __init__(
-        self, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
-    ) -> None:
-        self._sources = tuple(sources)
-        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)
+    unreadable: tuple[tuple[str, str], ...]
+    repeated: tuple[str, ...]
 
-    @functools.cached_property
-    def _columns(self) -> dict[str, Any]:
-        """Values of all sources by the name of the field."""
-        columns: dict[str, Any] = {}
-        for field in dataclasses.fields(Source):
-            columns[field.name] = list(map(operator.attrgetter(field.name), self._sources))
-        return columns
-
-    def __len__(self) -> int:
-        return len(self._sources)
-
-    @overload
-    def __getitem__(self, row: int) -> Source: ...
-    @overload
-    def __getitem__(self, row: slice) -> tuple[Source, ...]: ...
-    def __getitem__(self, row: int | slice) -> Source | tuple[Source, ...]:
-        return self._sources[row]
-
-    def __iter__(self) -> Iterator[Source]:
-        return iter(self._sources)
+    def __new__(
+        cls, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
+    ) -> Self:
+        made = super().__new__(cls, sources)
+        made.unreadable, made.repeated = tuple(unreadable), tuple(repeated)
+        return made
 
     def __repr__(self) -> str:
         return f"Collection({len(self)} files, {self.count} points)"
@@ -90,14 +73,14 @@ class Collection:
         """
         return self.uris[0] if len(self) == 1 else f"{len(self):,} files"
 
-    @property
-    def uris(self) -> Sequence[str]:
+    @functools.cached_property
+    def uris(self) -> list[str]:
         """Their names.
 
         >>> [uri.rpartition("/")[2] for uri in jf.open("survey", units="m").uris]
         ['east.laz', 'west.laz']
         """
-        return self._columns["uri"]
+        return [source.uri for source in self]
 
     @functools.cached_property
     def footprints(self) -> np.ndarray:
@@ -106,7 +89,7 @@ class Collection:
         >>> jf.open("survey", units="m").footprints.shape
         (2, 4)
         """
-        return np.array(self._columns["bounds"], np.float64).reshape(-1, 4)
+        return np.array([source.bounds for source in self], np.float64).reshape(-1, 4)
 
     @functools.cached_property
     def counts(self) -> np.ndarray:
@@ -115,7 +98,7 @@ class Collection:
         >>> int(jf.open("survey", units="m").counts.sum()) == len(cloud)
         True
         """
-        return np.array(self._columns["count"], np.int64)
+        return np.array([source.count for source in self], np.int64)
 
     @property
     def bounds(self) -> Bounds:
@@ -130,7 +113,7 @@ class Collection:
         return (*known[:, :2].min(axis=0).tolist(), *known[:, 2:].max(axis=0).tolist())
 
     @property
-    def count(self) -> int:
+    def count(self) -> int:  # type: ignore[override]
         """Number of points.
 
         >>> jf.open("survey", units="m").count == len(cloud)
@@ -146,8 +129,7 @@ class Collection:
         [1800.0, 1800.0]
         """
         sides = self.footprints[:, 2:] - self.footprints[:, :2]
-        metre = np.array([units.xy for units in self._columns["units"]], np.float64)
-        return np.nan_to_num(sides.prod(axis=1) * metre**2)
+        return np.nan_to_num(sides.prod(axis=1) * np.array([source.metre for source in self]) ** 2)
 
     @functools.cached_property
     def crs(self) -> pyproj.CRS | None:
@@ -158,8 +140,8 @@ class Collection:
         >>> print(jf.open("survey", units="m").crs)
         None
         """
-        self._refuse_mixture()
-        stated = [pyproj.CRS.from_wkt(wkt) for wkt in dict.fromkeys(self._columns["wkt"]) if wkt is not None]
+        refuse_mixture(self)
+        stated = [pyproj.CRS.from_wkt(wkt) for wkt in dict.fromkeys(source.wkt for source in self) if wkt is not None]
         return next((crs for crs in stated if vertical(crs)), stated[0] if stated else None)
 
     @functools.cached_property
@@ -169,8 +151,8 @@ class Collection:
         >>> jf.open("survey", units="m").units.name
         'metre'
         """
-        self._refuse_mixture()
-        return self._columns["units"][0]
+        refuse_mixture(self)
+        return self[0].units
 
     @property
     def metre(self) -> float:
@@ -189,15 +171,12 @@ class Collection:
         False
         """
         states = self.crs is not None and len(self.crs.axis_info) > 1  # heights alone do not say it
-        return not states and self.units == Units() and set(self._columns["format"]) != {"text"}
+        return not states and self.units == Units() and any(source.format != "text" for source in self)
 
     def with_true_extents(self) -> Collection:
         """The same files, each with the extent of its points where some of them show that the header states another; see
         :func:`jaxfilter.files.sources.with_true_extent`. Warns: of wrong extents."""
-        if len(self) < 2:
-            return Collection(map(with_true_extent, self), self.unreadable, self.repeated)
-        with ThreadPoolExecutor(_THREADS) as pool:
-            return Collection(pool.map(with_true_extent, self), self.unreadable, self.repeated)
+        return Collection(_each(with_true_extent, self), self.unreadable, self.repeated)
 
     def clipped(self, box: Bounds) -> Collection:
         """The files that may hold points of a half-open box, with their bounds as far as it; all if they have no points.
@@ -220,17 +199,8 @@ class Collection:
             raise InputError(f"{self.name}: no point is in bounds {words}: pass other bounds= within {data}")
         return Collection(sources, self.unreadable, self.repeated)
 
-    def _refuse_mixture(self) -> None:
-        """Raises: InputError if files differ in CRS or units."""
-        if len(self) > 1:
-            from .findings import refuse_mixture
-
-            refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
-
     @functools.cached_property
     def _index(self) -> Footprints:
-        from .findings import Footprints
-
         return Footprints(self.footprints)
 
     @functools.cached_property
@@ -256,27 +226,23 @@ class Collection:
         >>> findings.overlaps, findings.gaps, len(findings.no_crs)
         ((), (), 2)
         """
-        from .findings import OVERLAP, Findings
-
-        uris, counts, bounds = self.uris, self.counts, self.footprints
-        wkts = self._columns["wkt"]
+        mixed = None
         try:
-            self._refuse_mixture()
-            mixed = None
+            refuse_mixture(self)
         except InputError as error:
             mixed = str(error)
         pairs, share = self._index.overlaps(OVERLAP)
-        same = (counts[pairs[:, 0]] == counts[pairs[:, 1]]) & (bounds[pairs[:, 0]] == bounds[pairs[:, 1]]).all(axis=1)
-        others = zip(pairs[~same].tolist(), share[~same].tolist(), strict=True)
+        met = [(self[i], self[j], s) for (i, j), s in zip(pairs.tolist(), share.tolist(), strict=True)]
+        same = [(a.count, a.bounds) == (b.count, b.bounds) for a, b, _ in met]
         return Findings(
-            mixed,
-            self.unreadable,
-            self.repeated,
-            tuple((uris[i], uris[j]) for i, j in pairs[same].tolist()),
-            tuple((uris[i], uris[j], s) for (i, j), s in others),
-            tuple(self._index.holes()),
-            tuple(uris[i] for i in np.flatnonzero(counts == 0).tolist()),
-            tuple(uri for uri, wkt in zip(uris, wkts, strict=True) if wkt is None),
+            mixed=mixed,
+            unreadable=self.unreadable,
+            repeated=self.repeated,
+            doubles=tuple((a.uri, b.uri) for (a, b, _), twice in zip(met, same, strict=True) if twice),
+            overlaps=tuple((a.uri, b.uri, s) for (a, b, s), twice in zip(met, same, strict=True) if not twice),
+            gaps=tuple(self._index.holes()),
+            empty=tuple(source.uri for source in self if not source.count),
+            no_crs=tuple(source.uri for source in self if source.wkt is None),
         )
 
     def table(self) -> pd.DataFrame:
@@ -288,18 +254,15 @@ class Collection:
         """
         import pandas as pd
 
-        c = self._columns
-        crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
-        with np.errstate(divide="ignore", invalid="ignore"):
-            density = np.where(self.areas > 0, self.counts / self.areas, np.nan)
-        edges = np.column_stack([self.footprints, np.array(c["z"]).reshape(-1, 2)])
-        return pd.DataFrame(
-            {"uri": c["uri"], "format": c["format"], "points": self.counts}
-            | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
-            | {"area": self.areas, "density": density, "crs": [crs[w] for w in c["wkt"]]}
-            | {"metre": [units.xy for units in c["units"]], "point_format": pd.array(c["point_format"], "Int64")}
-            | {"date": c["date"]}
-        )
+        columns = ("uri", "format", "points", "xmin", "ymin", "xmax", "ymax", "zmin", "zmax", "crs", "metre")
+        rows = [
+            (s.uri, s.format, s.count, *s.bounds, *s.z, s.crs and s.crs.name, s.metre, s.point_format, s.date)
+            for s in self
+        ]
+        table = pd.DataFrame(rows, columns=[*columns, "point_format", "date"]).astype({"point_format": "Int64"})
+        table.insert(9, "area", self.areas)
+        table.insert(10, "density", table["points"] / table["area"].where(self.areas > 0))
+        return table
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the bounds of the files, coloured by density, with overlaps and gaps; see ``plots.footprints``.
@@ -308,7 +271,6 @@ class Collection:
         1.0
         """
         from ..plots import footprints
-        from .findings import OVERLAP
 
         pairs, _ = self._index.overlaps(OVERLAP)
         gaps, label = self._index.holes(), "points per m2"
@@ -374,14 +336,10 @@ def open(
             if uri in entries:
                 repeated.append(uri)
             entries.setdefault(uri, entry)
-    sources: list[Source] = []
-    unreadable: list[tuple[str, str]] = []
-    read = iter(_described([entry for entry in entries.values() if isinstance(entry, str)], stated, len(entries) == 1))
-    for entry in entries.values():
-        found = next(read) if isinstance(entry, str) else entry
-        sources.append(found) if isinstance(found, Source) else unreadable.append(found)
-    collection = Collection(sources, unreadable, dict.fromkeys(repeated))
-    if not len(collection):
+    found = _each(functools.partial(_source_of, stated=stated, points=len(entries) == 1), [*entries.values()])
+    unreadable = [one for one in found if not isinstance(one, Source)]
+    collection = Collection((one for one in found if isinstance(one, Source)), unreadable, dict.fromkeys(repeated))
+    if not collection:
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
 
@@ -422,17 +380,19 @@ def _is_member(path: Path, asked: str = "") -> bool:
     return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
 
 
-def _described(names: list[str], stated: Stated, points: bool) -> Iterable[Source | tuple[str, str]]:
-    """The sources of files in their order, or the name and why there is none; several headers are read at the same time."""
-    described = functools.partial(_source_of, stated=stated, points=points)
-    if len(names) < 2:
-        return map(described, names)
+def _each(act: Callable[[T], R], these: Sequence[T]) -> list[R]:
+    """What a function returns of each, in their order; of several at the same time."""
+    if len(these) < 2:
+        return list(map(act, these))
     with ThreadPoolExecutor(_THREADS) as pool:
-        return pool.map(described, names)
+        return list(pool.map(act, these))
 
 
-def _source_of(name: str, stated: Stated, points: bool) -> Source | tuple[str, str]:
+def _source_of(entry: Entry, stated: Stated, points: bool) -> Source | tuple[str, str]:
+    """The source of a file, or its name and why there is none."""
+    if isinstance(entry, Source):
+        return entry
     try:
-        return describe_file(place_of(name), stated, points)
+        return describe_file(place_of(entry), stated, points)
     except InputError as error:
-        return name, str(error)
+        return entry, str(error)

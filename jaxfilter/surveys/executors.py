@@ -11,6 +11,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Executor as Futures
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -27,26 +28,23 @@ _WAIT = 0.25  # seconds between ticks
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its value, or why there is none. ``full``: because a disk was, so that no other will do better;
-    ``died``: because a worker did, which this task may have killed, or another that ran at the same time."""
+    """What became of a task: its value, or why there is none. ``full``: because a disk was, so that no other will do better."""
 
     value: Any = None
     reason: str | None = None
     full: bool = False
-    died: bool = False
+
+
+Take = Callable[[], tuple[Any, Callable[..., Any], tuple[Any, ...]] | None]
+"""Gives a tag, a function and its picklable arguments; or None, if nothing is to be begun now."""
 
 
 class Executor(Protocol):
-    """Runs functions of picklable arguments elsewhere, some at a time."""
+    """Runs functions elsewhere, some at a time."""
 
-    def room(self) -> int:
-        """How many further tasks may be submitted now."""
-
-    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Begin a task, which is known by its tag; only while there is room."""
-
-    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Tasks that have ended; waits so long for the first of them. A worker that died is an outcome."""
+    def outcomes(self, take: Take) -> Iterator[list[tuple[Any, Outcome]]]:
+        """Tags and outcomes of what has ended, as soon as it has; now and then an empty list. ``take`` is called when one more
+        can be begun. The end is when nothing runs and nothing is given. A worker that died is an outcome."""
 
     def close(self) -> None:
         """Stop at once whatever is running."""
@@ -67,45 +65,39 @@ class Task:
 
 
 def carried_out(
-    executor: Executor,
-    todo: Iterator[Task],
-    now: collections.deque[Task],
-    tick: Callable[[], None],
+    executor: Executor, todo: Iterator[Task], now: collections.deque[Task], tick: Callable[[], None]
 ) -> Iterator[tuple[Task, Outcome]]:
     """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times; the last time
-    alone, if a worker died meanwhile, so that a task is not set aside for what another does.
+    alone, so that no task is set aside for what another does, such as kill all workers.
 
     ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
 
     Raises: OutputError when a disk is full.
     """
-    running, alone = 0, False
-    tries, suspects = collections.Counter[Task](), set[Task]()
-    while True:
-        while executor.room() > 0 and not (alone and running):
-            task = now.popleft() if now else next(todo, None)
-            if task is None:
-                break
-            last = tries[task] >= RETRIES
-            alone = last and task in suspects
-            if alone and running:
-                now.appendleft(task)
-                break
-            executor.submit(task, task.function, *task.arguments(last))
-            running += 1
-        if not running:
-            return
-        for task, outcome in executor.completed(_WAIT):
+    running, last, tries = 0, False, collections.Counter[Task]()
+
+    def take() -> tuple[Task, Callable[..., Any], tuple[Any, ...]] | None:
+        nonlocal running, last
+        task = None if last and running else now.popleft() if now else next(todo, None)
+        if task is None:
+            return None
+        last = tries[task] == RETRIES
+        if last and running:
+            now.appendleft(task)
+            return None
+        running += 1
+        return task, task.function, task.arguments(last)
+
+    for ended in executor.outcomes(take):
+        for task, outcome in ended:
             running -= 1
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
             if outcome.reason is not None and tries[task] < RETRIES:
                 tries[task] += 1
                 now.appendleft(task)
-                if outcome.died:
-                    suspects.add(task)
-                continue
-            yield task, outcome
+            else:
+                yield task, outcome
         tick()
 
 
@@ -117,8 +109,11 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
         return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
     except Exception as error:
         own = type(error).__module__.startswith("jaxfilter")
-        words = str(error) if own else f"{type(error).__name__}: {error}"
-        return Outcome(reason=" ".join(words.split()), full=_is_full(error))
+        words = " ".join((str(error) if own else f"{type(error).__name__}: {error}").split())
+        cause: BaseException | None = error
+        while cause is not None and getattr(cause, "errno", None) not in (errno.ENOSPC, errno.EDQUOT):
+            cause = cause.__cause__
+        return Outcome(reason=words, full=cause is not None)
 
 
 class Here:
@@ -126,93 +121,78 @@ class Here:
 
     def __init__(self, threads: int | None = 1, progress: Progress = silent) -> None:
         self._local = Local(threads, progress)
-        self._waiting: list[tuple[Any, Callable[..., Any], tuple[Any, ...]]] = []
 
-    def room(self) -> int:
-        """One, if nothing waits."""
-        return 1 - len(self._waiting)
-
-    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Keep a task for ``completed``."""
-        self._waiting.append((tag, function, arguments))
-
-    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Do what waits."""
-        tag, function, arguments = self._waiting.pop()
-        before = LOCAL.set(self._local)
-        try:
-            return [(tag, attempt(function, arguments))]
-        finally:
-            LOCAL.reset(before)
+    def outcomes(self, take: Take) -> Iterator[list[tuple[Any, Outcome]]]:
+        """One after the other."""
+        while (given := take()) is not None:
+            tag, function, arguments = given
+            before = LOCAL.set(self._local)
+            try:
+                outcome = attempt(function, arguments)
+            finally:
+                LOCAL.reset(before)
+            yield [(tag, outcome)]
 
     def close(self) -> None:
         """Nothing is running."""
 
 
-def _is_full(error: BaseException | None) -> bool:
-    """Whether an error, or what it comes from, is that of a full disk."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__
-    return False
-
-
-def outcome_of(future: Any, death: type[Exception]) -> Outcome:
-    """What became of a call of :func:`attempt`, by its future, which is done. ``death``: what it raises if a worker died."""
-    if isinstance(future.exception(), death):
-        return Outcome(reason="a worker died; where the memory was short, pass a smaller tile=", died=True)
-    found = attempt(future.result, ())
-    return found if found.reason is not None else found.value
-
-
 class Pool:
     """Processes of this machine. They are spawned, since JAX must not be forked, and end with their parent."""
 
+    _death: type[Exception] = BrokenProcessPool  # what a future raises whose worker died
+    _futures: Futures
+
     def __init__(self, workers: int) -> None:
         """The first worker is started, to know that it can be. Raises: JaxfilterError."""
-        self._size = workers
-        self._running: dict[Future[Outcome], Any] = {}
+        self._workers = workers
         self._begin()
         try:
-            self._pool.submit(os.getpid).result()
-        except BaseException as error:
+            self._futures.submit(os.getpid).result()
+        except BrokenProcessPool as error:
             self.close()
-            if isinstance(error, BrokenProcessPool):
-                raise JaxfilterError(
-                    f"a worker process ended as it began; what it said stands above; {unguarded()}"
-                ) from error
-            raise
+            words = f"a worker process ended as it began; what it said stands above; {unguarded()}"
+            raise JaxfilterError(words) from error
 
     def _begin(self) -> None:
         """Make the pool. Its workers hold one end of a pipe, and end when the other is closed, or this process ends."""
         context = multiprocessing.get_context("spawn")
         self._alive, theirs = context.Pipe()
-        self._pool = ProcessPoolExecutor(self._size, context, _begin_worker, (theirs,))
+        self._futures = ProcessPoolExecutor(self._workers, context, _begin_worker, (theirs,))
 
-    def room(self) -> int:
-        """Workers without a task."""
-        return self._size - len(self._running)
+    def most(self) -> int:
+        """How many tasks may be under way now."""
+        return self._workers
 
-    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Give a task to a worker. A pool that broke, since a worker died, is made anew."""
-        try:
-            future = self._pool.submit(attempt, function, arguments)
-        except BrokenProcessPool:
-            self.close()
-            self._begin()
-            future = self._pool.submit(attempt, function, arguments)
-        self._running[future] = tag
+    def outcomes(self, take: Take) -> Iterator[list[tuple[Any, Outcome]]]:
+        """See :class:`Executor`. With a worker that died all end that were running, and the pool is made anew."""
+        running: dict[Future[Outcome], Any] = {}
+        while True:
+            while len(running) < self.most() and (given := take()) is not None:
+                tag, function, arguments = given
+                try:
+                    future = self._futures.submit(attempt, function, arguments)
+                except BrokenProcessPool:
+                    self.close()
+                    self._begin()
+                    future = self._futures.submit(attempt, function, arguments)
+                running[future] = tag
+            if not running:
+                return
+            done, _ = wait(running, _WAIT, FIRST_COMPLETED)
+            yield [(running.pop(future), self._outcome_of(future)) for future in done]
 
-    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Tasks that have ended, see :class:`Executor`. With a worker that died all end that were running."""
-        done, _ = wait(self._running, seconds, FIRST_COMPLETED)
-        return [(self._running.pop(future), outcome_of(future, BrokenProcessPool)) for future in done]
+    def _outcome_of(self, future: Future[Outcome]) -> Outcome:
+        """What :func:`attempt` has returned, or why it has not."""
+        if isinstance(future.exception(), self._death):
+            return Outcome(reason="a worker died; where the memory was short, pass a smaller tile=")
+        found = attempt(future.result, ())
+        return found if found.reason is not None else found.value
 
     def close(self) -> None:
         """End all processes."""
         self._alive.close()
-        self._pool.shutdown(cancel_futures=True)
+        self._futures.shutdown(cancel_futures=True)
 
 
 def _begin_worker(alive: Connection) -> None:

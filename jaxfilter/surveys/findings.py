@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import pyproj
 from ..core.errors import InputError
 from ..core.units import Units, difference
 from ..files.disk import Bounds
+from ..files.sources import Source
 
 OVERLAP = 0.001
 """Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""
@@ -63,10 +64,6 @@ class Findings:
                 told.append(f"{words}: {len(found)} ({examples}{'; ...' if len(found) > most else ''})")
         return told
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return dataclasses.asdict(self)
-
 
 class Footprints:
     """An index of n axis-parallel closed rectangles.
@@ -94,15 +91,14 @@ class Footprints:
         those from ``least`` on, the largest first."""
         one, other = self.known[self.tree.query(self.boxes)]
         pair = np.column_stack([one, other])[one < other]
-        a, b = np.moveaxis(self.bounds[pair], 1, 0)
+        a, b = self.bounds[pair].swapaxes(0, 1)
         sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-        areas = [np.prod(each[:, 2:] - each[:, :2], axis=1) for each in (a, b)]
+        areas = ((each[:, 2:] - each[:, :2]).prod(axis=1) for each in (a, b))
         with np.errstate(invalid="ignore", divide="ignore"):
-            share = np.where((sides > 0).all(axis=1), np.prod(sides, axis=1) / np.minimum(*areas), 0.0)
+            share = np.where((sides > 0).all(axis=1), sides.prod(axis=1) / np.minimum(*areas), 0.0)
         share[(a == b).all(axis=1)] = 1.0
-        kept = np.flatnonzero(share >= least)
-        kept = kept[np.lexsort((pair[kept, 1], pair[kept, 0], -share[kept]))]
-        return pair[kept], share[kept]
+        order = np.lexsort((*pair.T[::-1], -share))[: (share >= least).sum()]
+        return pair[order], share[order]
 
     def holes(self) -> list[Bounds]:
         """The rectangles around places that no footprint covers and footprints enclose, the largest first.
@@ -123,14 +119,16 @@ class Footprints:
         return [tuple((np.array(ring.bounds) + wider).tolist()) for ring in rings]
 
 
-def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:
+def refuse_mixture(sources: Iterable[Source]) -> None:
     """Raises InputError, naming two files, if files differ in horizontal CRS, in what heights count from, or in units.
 
     Files that state no CRS, or nothing of heights, go with those that do, if their units are the same: many surveys have some.
     """
     kinds: dict[tuple[str | None, Units], str] = {}
-    for uri, wkt, unit in zip(uris, wkts, units, strict=True):
-        kinds.setdefault((wkt, unit), uri)
+    for source in sources:
+        kinds.setdefault((source.wkt, source.units), source.uri)
+    if len(kinds) < 2:
+        return
     (_, unit), named = next(iter(kinds.items()))
     systems: list[tuple[str, pyproj.CRS]] = []
     for (wkt, other), uri in kinds.items():

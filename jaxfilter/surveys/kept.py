@@ -14,6 +14,7 @@ from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
 from ..files.disk import check_suffix
+from ..files.vectors import SUFFIXES, write_features
 from ..terrain.levels import WaterRuns, outlines
 from .collection import Collection, common
 from .product import KEPT, Product
@@ -50,8 +51,6 @@ def suspects_in(
 
 def check_shapes(path: Path) -> None:
     """Raises: OutputError if the name is not that of a GeoPackage or GeoJSON."""
-    from ..files.vectors import SUFFIXES
-
     check_suffix(path, SUFFIXES)
 
 
@@ -66,8 +65,6 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
     places = places_of(np.concatenate(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
-        from ..files.vectors import write_features
-
         write_features(path, [table_of(places, collection.metre, collection.crs)], "review", overwrite=replace)
 
 
@@ -105,6 +102,4 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
         parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in product.kept(report, _NAMES)]
         report.water = WaterRuns.joined(parts) or report.water
     if wanted.path is not None:
-        from ..files.vectors import write_features
-
         write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)

@@ -25,7 +25,7 @@ from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
-from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
+from ..terrain.raster import RasterGrid, packed, profile_of, strips_of, write_mosaic
 from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water
@@ -93,9 +93,7 @@ class RasterProduct(GroundNeeded):
             grid, wide = whole.part(tile.core), whole.part(tuple((tile.core + ring).tolist()))
         if wide.rows * wide.columns > MAX_CELLS:
             cells = f"{wide.rows:,} x {wide.columns:,} cells, more than {MAX_CELLS:,}"
-            raise InputError(
-                f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= to make them larger, or pass tile= to cut smaller tiles"
-            )
+            raise InputError(f"cell={whole.cell:g}: a tile has {cells}: pass a larger cell=, or pass a smaller tile=")
         arrays: dict[str, np.ndarray] = {_CORNER: np.array([dataclasses.astuple(one)[1:] for one in (grid, wide)])}
         for found in self.surroundings(tile, summary):
             around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
@@ -195,8 +193,8 @@ class RasterProduct(GroundNeeded):
                 why = report.set_aside[0]["reason"]
             raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
 
-        crs, kind, nodata = collection.crs, layer.KIND, layer.NODATA
-        return write_mosaic(place, self.grid, crs, kind, nodata, parts, overwrite=replace, check=check)
+        profile = profile_of(self.grid.shape, self.grid.transform, collection.crs, layer.KIND, layer.NODATA)
+        return write_mosaic(place, self.grid, profile, parts, overwrite=replace, check=check)
 
     def _nothing(self, why: str) -> InputError:
         """The error of a product without values, which leaves nothing to go on with."""
@@ -241,28 +239,29 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    outputs: dict[Layer, Place] = {Dtm(): place_of(target)}
-    return make_rasters(what, outputs, ground, cell=cell, interpolation=interpolation, reading=reading, run=run)
+    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation)
+    return make_rasters(what, rasters, ground, reading=reading, run=run)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rasters:
+    """Layers to be made: ``places`` says where each goes, several of them in one folder. ``water``: how they come to know of it;
+    the others are those of :func:`terrain_model`."""
+
+    places: Mapping[Layer, Place]
+    cell: float = 1.0
+    interpolation: Interpolation = Interpolation()
+    water: WaterWanted = WaterWanted()
 
 
 def make_rasters(
-    what: Any,
-    outputs: Mapping[Layer, Place],
-    ground: GroundSource = (GROUND_CLASS,),
-    *,
-    cell: float = 1.0,
-    interpolation: Interpolation = Interpolation(),
-    reading: Reading = Reading(),
-    run: RunOptions = RunOptions(),
-    water: WaterWanted = WaterWanted(),
+    what: Any, rasters: Rasters, ground: GroundSource, *, reading: Reading, run: RunOptions
 ) -> TerrainReport:
-    """Make layers of a file or of a collection in one go, each into a file.
-
-    ``outputs``: the layers, and where they go, several of them in one folder. The other arguments, and what is raised, are those
-    of :func:`terrain_model`.
-    """
-    layers, places = tuple(outputs), list(outputs.values())
-    for layer, place in outputs.items():
+    """Make layers of a file or of a collection in one go, each into a file. Arguments, and what is raised: as of
+    :func:`terrain_model`."""
+    layers, places, cell = tuple(rasters.places), list(rasters.places.values()), rasters.cell
+    interpolation, water = rasters.interpolation, rasters.water
+    for layer, place in rasters.places.items():
         check_suffix(place, layer.SUFFIXES)
     recipe, classes = source_of_ground(ground)
     if BED in (classes or ()):

@@ -18,7 +18,7 @@ from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
 from .measures import Recipe
-from .model import TerrainReport, make_rasters
+from .model import Rasters, TerrainReport, make_rasters
 from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
@@ -48,7 +48,7 @@ def products(
     out: str | Path,
     ground: GroundSource | None = None,
     *,
-    only: Iterable[str] = tuple(LAYERS),
+    only: Iterable[str] | None = None,
     cell: float = 1.0,
     reading: Reading = Reading(),
     classes: Classes = Classes(),
@@ -66,7 +66,7 @@ def products(
         out: a folder, made if missing; a URL needs ``run.work``.
         ground: the filter, by default the default method, set up for the data; or classes of points that are ground already,
             as in :func:`jaxfilter.heights`, and then no files are classified.
-        only: names of what is made: dtm, dsm, chm, hillshade, density, count, voids, contours.
+        only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
         cell: side of the cells of rasters, in file units.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
@@ -81,14 +81,14 @@ def products(
     """
     from ..reports.survey_page import write_survey_page
 
-    names, folder = list(dict.fromkeys(only)), place_of(out)
+    names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
         raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     if isinstance(folder, Path) and folder.is_file():
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
-    layers = [LAYERS[name] for name in LAYERS if name in names]
+    layers = [entry.kind() for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)
     if outlined is not None:
@@ -115,7 +115,7 @@ def products(
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, outputs, source, cell=cell, reading=reading, run=run)
+        tried = make_rasters(what, Rasters(outputs, cell), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
@@ -124,15 +124,10 @@ def products(
         what = classified.files
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    rasters = make_rasters(what, outputs, source, cell=cell, reading=reading, run=anew, water=water)
+    rasters = make_rasters(what, Rasters(outputs, cell, water=water), source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
-    facts = {
-        "points": rasters.points,
-        "ground": rasters.ground,
-        "found by": measured,
-        "tiles": rasters.tiles,
-        "cells": size,
-    }
-    write_survey_page(folder / PAGE, folder.name, outputs, facts.items(), overwrite=anew.overwrite)
+    found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
+    figures = zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)
+    write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)

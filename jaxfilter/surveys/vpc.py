@@ -6,11 +6,14 @@ A ``.vpc`` is a GeoJSON FeatureCollection of STAC 1.0.0 items with the extension
 
 from __future__ import annotations
 
+import collections
+import contextlib
+import functools
 import json
 import math
 import os
 import posixpath
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
@@ -44,59 +47,53 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
 
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
-    known: dict[Any, tuple[Reference, str | None]] = {}
     with reading_errors(place), opened(place, sequential=True) as (file, _):
         content = json.load(TextIOWrapper(file, "utf-8"))
     items = content.get("features") if isinstance(content, dict) else None
     if not isinstance(items, list):
         raise InputError(f"{place}: is no virtual point cloud: it has no list of features")
-    for number, item in enumerate(items):
+    for number, item in enumerate(items, 1):
         try:
-            yield _member(item, place, known, asked)
+            yield _member(item, place, asked)
+        except InputError:
+            raise
         except _ODD as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(
-                f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r:.300}"
-            ) from error
+            words = f"item {number} is not as it should be in a virtual point cloud: {error!r:.300}"
+            raise InputError(f"{place}: {words}") from error
 
 
-def _member(
-    item: dict[str, Any], place: Place, known: dict[Any, tuple[Reference, str | None]], asked: Stated
-) -> str | Source:
-    """The member that an item describes; ``known``: systems of items before, by how these state them."""
-    assets = item["assets"]
+def _member(item: dict[str, Any], place: Place, asked: Stated) -> str | Source:
+    """The member that an item describes."""
+    assets, facts = item["assets"], item["properties"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
-    uri, facts = _resolved(asset["href"], place), item["properties"]
+    uri = _resolved(asset["href"], place)
     kinds = (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las"))
     kind = next((kind for kind, end in kinds if uri.lower().endswith(end)), None)
     box, count = facts.get("proj:bbox"), facts.get("pc:count")
     if kind is None or count is None or box is None or len(box) not in (4, 6):
         return uri
-    key = next((facts[k] for k in ("proj:wkt2", "proj:projjson", "proj:code", "proj:epsg") if facts.get(k)), None)
-    stated = json.dumps(key) if isinstance(key, dict) else key
-    if stated not in known:
-        text = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
-        reference = asked.of(reference_of({WKT: text.encode()}, str(place)), str(place))
-        known[stated] = reference, None if reference.crs is None else reference.crs.to_wkt()
-    reference, wkt = known[stated]
+    key = next((facts[k] for k in ("proj:wkt2", "proj:projjson", "proj:code", "proj:epsg") if facts.get(k)), "")
+    reference, wkt = _system(json.dumps(key) if isinstance(key, dict) else key, asked, str(place))
     if reference.problem is not None:
         raise InputError(f"{uri}: {reference.problem}")
     half = len(box) // 2
     x0, y0, x1, y1 = (float(box[k]) for k in (0, 1, half, half + 1))
+    z = (float(box[2]), float(box[5])) if half == 3 else (math.nan, math.nan)
     far = max(abs(float(one)) for one in box) < FARTHEST
     if not (far and x0 <= x1 and y0 <= y1 and 0 <= count < 1 << 40 and count == int(count)):
         raise ValueError(f"pc:count and proj:bbox say {count} points in {box}")
-    return Source(
-        uri,
-        kind,
-        (x0, y0, x1, y1) if count else NO_BOUNDS,
-        int(count),
-        (float(box[2]), float(box[5])) if half == 3 else (math.nan, math.nan),
-        wkt,
-        reference.units or Units(),
-        date=str(facts["datetime"])[:10] if facts.get("datetime") else None,
-    )
+    date = str(facts["datetime"])[:10] if facts.get("datetime") else None
+    bounds = (x0, y0, x1, y1) if count else NO_BOUNDS
+    return Source(uri, kind, bounds, int(count), z, wkt, reference.units or Units(), date=date)
+
+
+@functools.lru_cache(maxsize=256)
+def _system(key: str | int, asked: Stated, place: str) -> tuple[Reference, str | None]:
+    """The system that an item states as WKT, PROJJSON or a code, "" for none, with what is ``asked`` for; and its CRS as WKT."""
+    plain = isinstance(key, str) and (not key or ("[" in key and not key.startswith("{")))
+    text = str(key) if plain else pyproj.CRS(key).to_wkt()
+    reference = asked.of(reference_of({WKT: text.encode()}, place), place)
+    return reference, None if reference.crs is None else reference.crs.to_wkt()
 
 
 def _resolved(href: str, place: Place) -> str:
@@ -117,60 +114,52 @@ def _resolved(href: str, place: Place) -> str:
 
 def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
     """Write the files that have points. Local names are relative to the folder of ``path``. Raises: OutputError."""
-    folder = os.path.dirname(os.path.abspath(path))
-    content = {"type": "FeatureCollection", "features": list(_features(sources, folder))}
+    folder, names = os.path.dirname(os.path.abspath(path)), collections.Counter[str]()
+    items = [_item(source, folder, names) for source in sources if source.count]
     with new_file(path, overwrite=overwrite) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+        text = json.dumps({"type": "FeatureCollection", "features": items}, indent=1)
+        part.write_text(f"{text}\n", encoding="utf-8", newline="\n")
     return path
 
 
-def _features(sources: Iterable[Source], folder: str) -> Iterator[dict[str, Any]]:
-    used: dict[str, int] = {}
-    to_world: dict[str | None, Any] = {}
-    for source in sources:
-        if not source.count:
-            continue
-        (x0, y0, x1, y1), (z0, z1) = source.bounds, source.z
-        x, y = (x0, x1, x1, x0, x0), (y0, y0, y1, y1, y0)
-        corners = [*zip(x, y, strict=True)]
-        if source.wkt not in to_world:
-            to_world[source.wkt] = _to_degrees(source.crs)
-        if to_world[source.wkt] is not None:
-            x, y = to_world[source.wkt](x, y)
-        stem = posixpath.basename(source.uri).rpartition(".")[0]
-        used[stem] = used.get(stem, 0) + 1
-        flat = math.isnan(z0) or math.isnan(z1)  # a box of the .vpc that was read had no heights: JSON knows no NaN
-        local = not isinstance(source.place, Remote)
-        yield {
-            "type": "Feature",
-            "stac_version": "1.0.0",
-            "stac_extensions": _EXTENSIONS,
-            "id": stem if used[stem] == 1 else f"{stem}-{used[stem]}",
-            "geometry": {"type": "Polygon", "coordinates": [[*zip(x, y, strict=True)]]},
-            "bbox": [min(x), min(y), *[z0] * (not flat), max(x), max(y), *[z1] * (not flat)],
-            "properties": {
-                "datetime": f"{source.date or _NOT_DATED}T00:00:00Z",
-                "pc:count": source.count,
-                "pc:type": "lidar",
-                "pc:encoding": source.format,
-                "pc:schemas": _schemas(source.point_format),
-                "proj:wkt2": source.wkt or "",
-                "proj:geometry": {"type": "Polygon", "coordinates": [corners]},
-                "proj:bbox": [x0, y0, *[z0] * (not flat), x1, y1, *[z1] * (not flat)],
-            },
-            "links": [],
-            "assets": {"data": {"href": _relative(source.uri, folder) if local else source.uri, "roles": ["data"]}},
-        }
+def _item(source: Source, folder: str, names: collections.Counter[str]) -> dict[str, Any]:
+    """A file as an item; ``names``: how often each was given."""
+    (x0, y0, x1, y1), z = source.bounds, source.z
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+    x, y = _to_degrees(source.wkt)(*zip(*corners, strict=True))
+    stem = posixpath.basename(source.uri).rpartition(".")[0]
+    names[stem] += 1
+    low, high = ([], []) if math.isnan(sum(z)) else ([z[0]], [z[1]])  # JSON knows no NaN
+    local = not isinstance(source.place, Remote)
+    return {
+        "type": "Feature",
+        "stac_version": "1.0.0",
+        "stac_extensions": _EXTENSIONS,
+        "id": stem if names[stem] == 1 else f"{stem}-{names[stem]}",
+        "geometry": {"type": "Polygon", "coordinates": [[*zip(x, y, strict=True)]]},
+        "bbox": [min(x), min(y), *low, max(x), max(y), *high],
+        "properties": {
+            "datetime": f"{source.date or _NOT_DATED}T00:00:00Z",
+            "pc:count": source.count,
+            "pc:type": "lidar",
+            "pc:encoding": source.format,
+            "pc:schemas": _schemas(source.point_format),
+            "proj:wkt2": source.wkt or "",
+            "proj:geometry": {"type": "Polygon", "coordinates": [corners]},
+            "proj:bbox": [x0, y0, *low, x1, y1, *high],
+        },
+        "links": [],
+        "assets": {"data": {"href": _relative(source.uri, folder) if local else source.uri, "roles": ["data"]}},
+    }
 
 
-def _to_degrees(crs: pyproj.CRS | None) -> Any:
-    """A function from x and y to longitudes and latitudes; None for a CRS that is not of the Earth."""
-    if crs is None:
-        return None
-    try:
-        return pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform
-    except pyproj.exceptions.ProjError:
-        return None
+@functools.lru_cache(maxsize=256)
+def _to_degrees(wkt: str | None) -> Callable[..., tuple[Sequence[float], Sequence[float]]]:
+    """A function from x and y to longitudes and latitudes; to themselves without a CRS, and for one that is not of the Earth."""
+    with contextlib.suppress(pyproj.exceptions.ProjError):
+        if wkt is not None:
+            return pyproj.Transformer.from_crs(wkt, 4326, always_xy=True).transform
+    return lambda x, y: (x, y)
 
 
 def _relative(uri: str, folder: str) -> str:

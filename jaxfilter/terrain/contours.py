@@ -15,7 +15,7 @@ from ..core.errors import ParameterError, check_positive
 from ..files.disk import check_suffix
 from ..files.storage import place_of
 from ..files.vectors import SUFFIXES, write_features
-from .layer import Layer
+from .layer import Layer, setting
 from .models import Dtm
 from .raster import STRIP, Raster
 
@@ -29,10 +29,10 @@ _MOST = 5_000  # elevations of lines in a block
 
 @dataclasses.dataclass(frozen=True)
 class Contours(Layer):
-    """Make contour lines of the terrain model, a GeoPackage or GeoJSON of lines with their elevation."""
+    """Contour lines of the terrain model, see :func:`contours`."""
 
-    NAME, TITLE, SUFFIXES = "contours", "elevation", SUFFIXES
-    interval: float = 1.0
+    NAME, TITLE, SUFFIXES, MODEL = "contours", "elevation", SUFFIXES, True
+    interval: float = setting("Difference of elevation between lines, in units of Z.", 1.0)
 
     def __post_init__(self) -> None:
         check_positive(", in units of Z", interval=self.interval)

@@ -19,22 +19,35 @@ from .levels import WaterRuns, levels_of
 from .raster import NODATA, RASTER_SUFFIXES, Raster, RasterGrid
 
 
+def setting(help: str, default: Any, *, metres: bool = False) -> Any:
+    """A field of a layer, and option of its command, with what it says there; ``metres``: a length, which must be positive. What
+    has several values may be repeated."""
+    return dataclasses.field(default=default, metadata={"help": help, "metres": metres})
+
+
 @dataclasses.dataclass(frozen=True)
 class Layer:
     """What a raster shows. A subclass says how its cells are made, in ``values``; its fields are the settings. Called, it makes
     the raster of a cloud in memory.
 
-    ``NAME`` is that of the command and of files, ``TITLE`` is what the values are, in units of Z where they are heights. ``KIND``
-    is the type of the values in files, in which ``NODATA`` stands for none. ``SUFFIXES``: of files, the usual one first.
-    ``SURFACE``: it needs a surface through the ground.
+    Attributes:
+        NAME: of the command and of files, in ``layers.py``.
+        TITLE: what the values are; UNITS: in which they are.
+        KIND: the type of the values in files, in which ``NODATA`` stands for none. SUFFIXES: of files, the usual one first.
+        STYLE: a colour map of Matplotlib, for pictures, or "relief".
+        SURFACE: it needs a surface through the ground. MODEL: it shows the terrain model, and what its command says of the
+            interpolation of heights counts.
     """
 
     NAME: ClassVar[str] = ""
     TITLE: ClassVar[str] = ""
+    UNITS: ClassVar[str] = "units of Z"
     KIND: ClassVar[str] = "float32"
     NODATA: ClassVar[float] = NODATA
     SUFFIXES: ClassVar[tuple[str, ...]] = RASTER_SUFFIXES
+    STYLE: ClassVar[str] = "gray"
     SURFACE: ClassVar[bool] = True
+    MODEL: ClassVar[bool] = False
 
     def reach(self, side: float) -> float:
         """Metres around a cell from which points count, besides the ground under the surface; ``side``: of a cell, metres."""

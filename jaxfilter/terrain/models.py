@@ -86,9 +86,9 @@ def dtm(
 
 @dataclasses.dataclass(frozen=True)
 class Dtm(Layer):
-    """Make a terrain model: ground heights, linear in the triangles of the ground points, or as --method says."""
+    """The terrain model: heights of :func:`dtm`."""
 
-    NAME, TITLE = "dtm", "height of the ground"
+    NAME, TITLE, STYLE, MODEL = "dtm", "height of the ground", "gist_earth", True
 
     @property
     def parts(self) -> tuple[Layer, ...]:

@@ -130,7 +130,7 @@ class Raster:
         import rasterio
 
         path = check_suffix(place_of(path), RASTER_SUFFIXES)
-        profile = _profile(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
+        profile = profile_of(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
         profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
             with memory.open(**profile) as file:
@@ -238,9 +238,7 @@ class RasterGrid:
 def write_mosaic(
     path: Place,
     grid: RasterGrid,
-    crs: Any,
-    kind: str,
-    nodata: float,
+    profile: dict[str, Any],
     parts: Callable[[], Iterable[tuple[RasterGrid, np.ndarray]]],
     *,
     overwrite: bool = False,
@@ -250,7 +248,7 @@ def write_mosaic(
     where it has to be.
 
     Args:
-        grid: all cells; crs, kind, nodata: as of a :class:`Raster`.
+        grid: all cells; profile: of the file, see :func:`profile_of`.
         parts: gives, each time it is called, cells and their values, see :func:`packed`, of parts that do not overlap. What no
             part covers has no value.
         check: called with the number of cells that have a value, before the file appears, which it does not if this raises.
@@ -265,7 +263,7 @@ def write_mosaic(
     def windows() -> Iterator[tuple[Window, np.ndarray]]:
         return ((Window.from_slices(*grid.slices(part)), values) for part, values in parts())
 
-    profile, known = _profile(grid.shape, grid.transform, crs, kind, nodata), 0
+    known = 0
     with new_file(path, overwrite=overwrite) as temporary:
         plain = temporary.with_name("plain.tif")
         try:
@@ -279,7 +277,7 @@ def write_mosaic(
             plain.unlink()
             with rasterio.open(temporary) as file:  # GDAL does not always tell that a disk refused
                 for window, values in windows():
-                    known += int(np.count_nonzero(values != nodata))
+                    known += int(np.count_nonzero(values != profile["nodata"]))
                     if not np.array_equal(file.read(1, window=window), values):
                         raise OutputError(
                             f"{path}: cannot be written: what was written reads back otherwise; is the disk full?"
@@ -306,10 +304,10 @@ def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
     return np.where(np.isnan(values), np.float32(nodata), values).astype(kind)
 
 
-def _profile(
+def profile_of(
     shape: tuple[int, ...], transform: tuple[float, ...], crs: Any, kind: str, nodata: float
 ) -> dict[str, Any]:
-    """How GeoTIFF files are made."""
+    """How a GeoTIFF file is made, for rasterio; the arguments are those of a :class:`Raster`."""
     import rasterio
 
     crs = for_outputs(crs)

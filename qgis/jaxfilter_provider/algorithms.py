@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 
@@ -46,9 +48,7 @@ class Algorithm(NamedTuple):
 
 
 needed, advanced = partial(Parameter, needed=True), partial(Parameter, advanced=True)
-METHODS = ["agptd", "atin", "csf", "fptd", "iptd", "msf", "ost", "pmf", "ppdf", "ptd", "ptdf", "smrf", "spf", "stin"]
-LAYERS = ["dtm", "dsm", "chm", "hillshade", "density", "count", "voids", "contours"]
-EXTRAS = ["height", "slope", "angle", "elevation", "margin", "doubt"]
+METHODS, LAYERS, EXTRAS = json.loads((Path(__file__).parent / "choices.json").read_text("utf-8")).values()
 UNITS = ["as the CRS says", "m", "ft", "us-ft"]
 FILES = "LAS, LAZ, COPC or text. Layers are read from their files; their filters and unsaved edits have no effect."
 BY_DATA = "The default is set up for the data. For the others, what depends on point spacing is set from the data."
