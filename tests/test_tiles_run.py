@@ -41,7 +41,7 @@ class Here:
 
     def __init__(self, seed=0, width=3, stop_after=None, fail=None):
         self.rng, self.width, self.stop_after = np.random.default_rng(seed), width, stop_after
-        self.fail = fail or (lambda function, task: None)
+        self.fail = fail or (lambda function, task, last: None)
         self.waiting, self.calls = [], []
 
     def outcomes(self, take):
@@ -56,8 +56,8 @@ class Here:
         if self.stop_after is not None and len(self.calls) >= self.stop_after:
             raise KeyboardInterrupt
         tag, function, arguments = self.waiting.pop(int(self.rng.integers(len(self.waiting))))
-        self.calls.append((function.__name__, arguments[-1].number))
-        reason = self.fail(function, arguments[-1])
+        self.calls.append((function.__name__, arguments[1].number))
+        reason = self.fail(function, *arguments[1:])
         return [(tag, Outcome(reason=reason) if reason else attempt(function, arguments))]
 
     def close(self):
@@ -187,9 +187,9 @@ def test_a_run_that_is_killed_goes_on_and_repeats_nothing(files, done, tmp_path)
 def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, done, tmp_path):
     tried = []
 
-    def fail(function, tile):
+    def fail(function, tile, last):
         if function is do_tile and tile.number == 0:
-            tried.append(tile.patient)
+            tried.append(last)
             return "no luck"
         if function is do_tile and tile.number == 5 and len(tried) == 1:
             tried.append(None)
@@ -427,7 +427,7 @@ def test_outputs_have_the_names_of_inputs():
         target_names([*uris, "s3://b/one.las"])
 
 
-def deadly(name):
+def deadly(name, last):
     """A task that kills its worker, beside others that take a while and die with it."""
     if name == "deadly":
         os._exit(3)
@@ -438,7 +438,7 @@ def deadly(name):
 def test_a_worker_that_dies_is_replaced_and_only_the_task_that_kills_it_is_set_aside():
     names, pool = ["1", "deadly", "2", "x", "3"], Pool(3)
     try:
-        tasks = (Task(deadly, number, lambda last, name=name: (name,)) for number, name in enumerate(names))
+        tasks = (Task(deadly, number, (name,)) for number, name in enumerate(names))
         done = carried_out(pool, tasks, collections.deque(), lambda: None)
         found = {names[task.number]: outcome for task, outcome in done}
     finally:

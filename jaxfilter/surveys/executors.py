@@ -14,7 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures import Executor as Futures
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from ..core.errors import JaxfilterError, OutputError
 from ..core.process import unguarded
@@ -50,18 +50,16 @@ class Executor(Protocol):
         """Stop at once whatever is running."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """Something to be done for a tile or a file.
 
     Attributes:
-        function: called elsewhere with what ``arguments`` returns; number: of the tile or file.
-        arguments: called when the task is submitted, with whether it is the last try.
+        function: called elsewhere with ``arguments``, and with whether it is the last try; number: of the tile or file.
     """
 
     function: Callable[..., Any]
     number: int
-    arguments: Callable[[bool], tuple[Any, ...]]
+    arguments: tuple[Any, ...]
 
 
 def carried_out(
@@ -74,27 +72,27 @@ def carried_out(
 
     Raises: OutputError when a disk is full.
     """
-    running, last, tries = 0, False, collections.Counter[Task]()
+    running, last, tries = 0, False, collections.Counter[tuple[Any, int]]()
 
     def take() -> tuple[Task, Callable[..., Any], tuple[Any, ...]] | None:
         nonlocal running, last
         task = None if last and running else now.popleft() if now else next(todo, None)
         if task is None:
             return None
-        last = tries[task] == RETRIES
+        last = tries[task[:2]] == RETRIES
         if last and running:
             now.appendleft(task)
             return None
         running += 1
-        return task, task.function, task.arguments(last)
+        return task, task.function, (*task.arguments, last)
 
     for ended in executor.outcomes(take):
         for task, outcome in ended:
             running -= 1
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
-            if outcome.reason is not None and tries[task] < RETRIES:
-                tries[task] += 1
+            if outcome.reason is not None and tries[task[:2]] < RETRIES:
+                tries[task[:2]] += 1
                 now.appendleft(task)
             else:
                 yield task, outcome

@@ -159,13 +159,15 @@ def sees_lowest(filter_: Filter | None) -> bool:
     return lowest_among.dispatch(type(filter_)) is not lowest_among.dispatch(object)
 
 
-def lowest_in_tile(product: Product, tile: Tile) -> float | None:
+def lowest_in_tile(product: Product, tile: Tile, last: bool = True) -> float | None:
     """Elevation of the lowest point of the core that the filter lets count (``lowest_among``), file units; None without any.
+    ``last``: a file that cannot be read is left out, if there are others.
 
     Raises: as ``Product.tile``.
     """
     assert product.filter is not None
     with collected_warnings():
+        tile = dataclasses.replace(tile, patient=tile.patient and last)
         around = product.store.read(tile, product.reading, product.whole)
         points = product.filter.points_of(around.cloud)
         if len(points) == 0 or not has_area(points.xyz):

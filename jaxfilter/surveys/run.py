@@ -13,7 +13,7 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -228,15 +228,16 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
     return best
 
 
-def do_tile(product: Product, tile: Tile) -> Summary:
-    """Work on a tile, and keep what was found of it. Raises: as ``Product.tile``; OutputError."""
-    summary, arrays = done_tile(product, tile)
+def do_tile(product: Product, tile: Tile, last: bool) -> Summary:
+    """Work on a tile, and keep what was found of it; ``last``: it is not tried again. Raises: as ``Product.tile``; OutputError."""
+    summary, arrays = done_tile(product, dataclasses.replace(tile, patient=tile.patient and last))
     product.store.put(tile.number, arrays, found := summary.as_json())
     return Summary.of_json(found)
 
 
-def write_file(product: Product, task: FileTask) -> dict[str, Any]:
-    """Write a file: its seal, what was warned of, and seconds. Raises: as ``Product.file``."""
+def write_file(product: Product, task: FileTask, last: bool) -> dict[str, Any]:
+    """Write a file: its seal, what was warned of, and seconds; whether it is tried again changes nothing. Raises: as
+    ``Product.file``."""
     seconds, remarks = done_file(product, task)
     seal = dataclasses.asdict(Seal.of(written(task.target, task.how["into"])))
     return {"seal": seal, "remarks": remarks, "seconds": seconds}
@@ -370,17 +371,13 @@ class Run:
         self._standing.tiles_done = int(done.sum())
         return done
 
-    def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
-        several = len(self.collection) > 1
-        return lambda last: (self.product, tile_of(self.plan, self.collection, number, patient=last and several))
+    def _tile(self, number: int) -> tuple[Product, Tile]:
+        return self.product, tile_of(self.plan, self.collection, number, patient=len(self.collection) > 1)
 
     def _writing(self, number: int) -> Task:
-        def arguments(last: bool) -> tuple[Product, FileTask]:
-            tiles, target = tuple(self.plan.tiles_of[number].tolist()), self.targets.places[number]
-            how = {"overwrite": True, "into": self.targets.part(number)}
-            return self.product, FileTask(number, self.collection[number], tiles, target, how)
-
-        return Task(write_file, number, arguments)
+        tiles, target = tuple(self.plan.tiles_of[number].tolist()), self.targets.places[number]
+        how = {"overwrite": True, "into": self.targets.part(number)}
+        return Task(write_file, number, (self.product, FileTask(number, self.collection[number], tiles, target, how)))
 
     def _take_tile(self, number: int, outcome: Outcome) -> list[int]:
         """Take in a tile; the files that are complete with it."""
