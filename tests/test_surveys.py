@@ -93,7 +93,7 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.small.WHOLE", 4000)
-    monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
+    monkeypatch.setattr("jaxfilter.surveys.plan.TILE_POINTS", 6000)
     ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}}
     ways["much"] = {"memory": 1e12, "workers": 1}
     for name, how in ways.items():

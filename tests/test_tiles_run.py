@@ -23,7 +23,7 @@ import jaxfilter as jf
 from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.surveys.plan import POINTS, WHOLE, Cut, Where, plan_tiles
+from jaxfilter.surveys.plan import TILE_POINTS, WHOLE, Cut, Where, plan_tiles
 from jaxfilter.surveys.report import TILE, RunReport, Summary
 from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names
@@ -719,7 +719,7 @@ def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(metre,
     assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
     around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
     assert (around >= halo - 1e-4).all() and (around < halo + cut.lattice / metre + 1e-4).all()
-    assert len(plan) > 1 and (side is not None or plan.points.max() <= 1.1 * POINTS)
+    assert len(plan) > 1 and (side is not None or plan.points.max() <= 1.1 * TILE_POINTS)
     if side is None and not cut.halo:
         assert plan.times_read(counts.sum()) == pytest.approx(1, abs=0.01)
 
@@ -729,7 +729,7 @@ def test_data_of_few_points_are_one_tile_and_larger_ones_are_cut_where_they_are_
     bounds, cut = np.array([[0.0, 0, 1000, 1000], [1000.0, 0, 2000, 1000]]), Cut(20.0, 10.0)
     assert plan_tiles(Where.from_files(bounds[:1], np.array([WHOLE])), cut).whole
     plan = plan_tiles(Where.from_files(bounds, np.array([2_000_000, 12_000_000])), cut)
-    assert len(plan) == 3 and plan.points.max() <= POINTS and plan.times_read(14_000_000) < 1.1
+    assert len(plan) == 3 and plan.points.max() <= TILE_POINTS and plan.times_read(14_000_000) < 1.1
     west = plan.cores[plan.cores[:, 0] < 900]
     assert len(west) == 1 and west[0, 2] >= 900
 

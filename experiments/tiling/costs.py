@@ -25,7 +25,7 @@ import jaxfilter as jf
 from experiments.report import Column, Row, markdown
 from experiments.tiling.labels import generated
 from jaxfilter.surveys.options import need
-from jaxfilter.surveys.plan import plan_tiles
+from jaxfilter.surveys.plan import Cut, Where, plan_tiles
 
 COMMAND = [sys.executable, "-c", "from jaxfilter.cli import main; main(prog_name='jaxfilter')", "ground"]
 AREA = 40_000
@@ -148,10 +148,12 @@ def _planned(filter_: jf.Filter, density: float, per_read: float) -> Row:
     side, count = math.isqrt(AREA), round(density * 1e6)
     x, y = (1000.0 * axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
     bounds = np.stack([x, y, x + 999.99, y + 999.99], axis=1)
-    plan = plan_tiles(bounds, np.full(side**2, count), halo=filter_.halo(), lattice=filter_.lattice())
+    where = Where.from_files(bounds, np.full(side**2, count))
+    plan = plan_tiles(where, Cut(filter_.halo(), filter_.lattice()))
     times = plan.times_read(side**2 * count)
+    area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1))
     hours = side**2 * count * times * per_read / 3600
-    found = {"halo": filter_.halo(), "tile": plan.width, "tiles": len(plan), "times": times, "hours": hours}
+    found = {"halo": filter_.halo(), "tile": math.sqrt(area), "tiles": len(plan), "times": times, "hours": hours}
     return found | {"worker": need(plan) / 1e9}
 
 

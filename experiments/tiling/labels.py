@@ -16,7 +16,7 @@ from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import lowest_among
 from jaxfilter.surveys.collection import Collection
 from jaxfilter.surveys.measures import Sampler
-from jaxfilter.surveys.plan import plan_tiles
+from jaxfilter.surveys.plan import Cut, plan_tiles
 from jaxfilter.surveys.run import tile_of
 from jaxfilter.surveys.tiles import joined, part_of, read_tile
 
@@ -71,13 +71,13 @@ def rows(
     """A row for every halo (None = the default) of a method on a survey. ``cuts``: tiles along each side."""
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
-    one, found, index = survey(paths), [], folder / f"index-{method}"  # two processes do not share it
+    one, found = survey(paths), []
     filter_ = jf.FILTERS[method].for_cloud(one.cloud)
     whole = filter_(one.cloud, workers=1).ground
     total = jf.evaluate(whole, one.truth, ignore=~one.scored).total
     for asked in halos:
         halo = filter_.halo() if asked is None else asked
-        ground, seen = tiled(one, filter_, cuts, halo, index)
+        ground, seen = tiled(one, filter_, cuts, halo)
         differ = int((ground != whole).sum())
         moved = jf.evaluate(ground, one.truth, ignore=~one.scored).total - total
         found.append({
@@ -87,7 +87,7 @@ def rows(
     return found
 
 
-def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, index: Path) -> tuple[np.ndarray, np.ndarray]:
+def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float) -> tuple[np.ndarray, np.ndarray]:
     """bool[n]: labels of the tiles of a run; and f64[tiles], the share of all points that each tile with points sees.
 
     A tile that sees all points tests nothing: it is the whole.
@@ -95,11 +95,8 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, index: Path) 
     files = one.collection
     low, high = np.reshape(files.bounds, (2, 2))
     side = float((high - low).max()) * files.metre / cuts
-    given = {"metre": files.metre, "halo": halo, "lattice": filter_.lattice(), "side": side}
-    plan = plan_tiles(files.footprints, files.counts, **given)
-    width, height = plan.largest()
-    whole = Sampler(files, READING, index).whole_for(filter_)
-    whole = dataclasses.replace(whole, width=width * files.metre, height=height * files.metre)
+    plan = plan_tiles(files.where, Cut(halo, filter_.lattice()), side)
+    whole = Sampler(files, READING).whole_for(filter_)
     lowest = lowest_among(filter_, points := filter_.points_of(one.cloud))
     if lowest is not None:
         height = float(points.xyz[lowest, 2].min())
@@ -108,7 +105,7 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, index: Path) 
     times = np.zeros(len(one.cloud), np.int8)
     seen = []
     for number in range(len(plan)):
-        around = read_tile(tile_of(plan, files, number), READING, whole, index)
+        around = read_tile(tile_of(plan, files, number), READING, whole)
         if not around.core.any():
             continue
         at = one.first[around.file[around.core]] + around.record[around.core]

@@ -102,7 +102,9 @@ CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=Tr
 GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI, DROP_INVALID]
 """What is ground."""
 RUN_OPTIONS = [
-    option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
+    option(
+        "--tile", "Side of the tiles of large data.  [default: as their points allow, at most about 7 million]", METRES
+    ),
     option(
         "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
     ),

@@ -32,6 +32,8 @@ from .text import TextFile, kept_text, open_text
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""
 _FILES = 64  # whose runs a process keeps
+WHOLE = 8_000_000
+"""Points that are held in memory at once: data of so many or fewer are one tile."""
 SQUARE = 64.0
 """Metres: side of the squares that tell where the points of a file lie."""
 _WIDE, _FEW, _FILLED = 1000.0, 16, 0.6

@@ -186,7 +186,7 @@ def apply_survey(
         every = sites_of(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
         acting = (site for site in every if any(one.key in keys for one in site.verdicts))
         found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
-        report = VerdictReport()
+        report = VerdictReport(elapsed=0.0)
         if found:
             if run.workers is None and run.client is None and len(found) <= _FEW:
                 run = dataclasses.replace(run, workers=1)

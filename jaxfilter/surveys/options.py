@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import ParameterError
 from ..core.filter import check_resources
 from ..core.result import Progress, silent
-from .tiles import WHOLE
+from ..files.sources import WHOLE
 
 if TYPE_CHECKING:
     from .executors import Executor
@@ -28,16 +28,16 @@ class RunOptions:
     """How a run is carried out. None of this changes what is found, but ``tile``, ``halo`` and ``measures`` where a label depends
     on points at any distance.
 
-    One file of 8 million points or fewer is read, filtered and written in this process, unless ``tile`` is given: then
+    One file of 8 million points or fewer is read, filtered and written in this process, unless ``tile`` is given, or most of its
+    extent is empty: then
     ``client``, ``executor`` and ``work`` have nothing to do.
 
     Attributes:
-        tile: side of a tile in metres; by default one tile for data of 8 million points or fewer, and else as large as holds
-            5 million points with its halo, or as wide as 6 halos.
+        tile: side of a tile in metres; by default tiles follow the points, see :func:`jaxfilter.surveys.plan.plan_tiles`.
         halo: metres around each tile that the filter sees as well; by default what the method needs (``Filter.halo``).
         wide_halos: let halos hold more than twice the points of the tiles; a ``tile`` so small is refused otherwise.
-        workers: processes, or threads where there is one tile; by default one per processor, as far as the memory goes. With
-            1 everything is done in this process.
+        workers: processes, or threads where there is one tile; by default one per processor, as far as the memory goes, and
+            this process for tiles of 8 million points or fewer together. With 1 everything is done in this process.
         memory: bytes for all processes together; by default seven tenths of what is free. It limits the number of workers.
         client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
         executor: any other way to have the tasks done, in place of ``workers`` and ``client``.

@@ -15,10 +15,9 @@ import numpy as np
 
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
-from ..files.sources import SQUARE, Squares, square_keys
-from .tiles import WHOLE
+from ..files.sources import SQUARE, WHOLE, Squares, square_keys
 
-POINTS = 7_000_000
+TILE_POINTS = 7_000_000
 """Points of core and halo of a tile, at most, unless halos hold too many of them."""
 MOST_READ = 2.5
 """Times that a tile may be read in parts instead of in one piece, halos included, so that each part has fewer points."""
@@ -177,7 +176,7 @@ def plan_tiles(where: Where, cut: Cut, side: float | None = None) -> Plan:
     """Tiles over files. Nothing but where the points lie, the halo and the lattice decides on them, so that a run has the same
     tiles on every machine.
 
-    Without a ``side``, a tile is halved until core and halo have :data:`POINTS` points or fewer, unless its parts would be read
+    Without a ``side``, a tile is halved until core and halo have :data:`TILE_POINTS` points or fewer, unless its parts would be read
     :data:`MOST_READ` times; and until its points fill a part of 1 / :data:`SCATTERED` of it. Data of :data:`WHOLE` points or
     fewer that fill their extent are one tile. ``side``: of cores, metres; then they are squares that end at multiples of it,
     widened to a multiple of the lattice.
@@ -249,10 +248,10 @@ def _halved(where: Where, cut: Cut) -> np.ndarray:
         window = _windows(core, halo, lattice)
         near = where.meeting(window, rows)
         held, fills = where.held(window, near), where.fill(near)
-        dense = held > POINTS and not few
+        dense = held > TILE_POINTS and not few
         halves, read = [], math.inf
         for axis in (0, 1) if dense or not fills else ():
-            pair = _halves(where, core, own, axis, (halo, lattice, math.ceil(held / POINTS) if dense else 0))
+            pair = _halves(where, core, own, axis, (halo, lattice, math.ceil(held / TILE_POINTS) if dense else 0))
             windows = _windows(np.array(pair).reshape(-1, 4), halo, lattice)
             times = sum(where.held(one, where.meeting(one, near)) for one in windows)
             if pair and times < read and (not fills or times <= MOST_READ * where.held(core, own)):

@@ -25,7 +25,7 @@ from ..core.filter import Filter
 from ..core.params import declared
 from ..core.version import __version__
 from ..files.disk import Identity, Seal, is_there
-from ..files.sources import fingerprint
+from ..files.sources import WHOLE, fingerprint
 from ..files.storage import Place
 from ..methods import FILTERS
 from .area import meeting
@@ -39,7 +39,7 @@ from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, se
 from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .survey import Survey
-from .tiles import WHOLE, Tile, read_tile
+from .tiles import Tile, read_tile
 
 TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
@@ -229,7 +229,10 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
 
 
 def do_tile(product: Product, tile: Tile, last: bool) -> Summary:
-    """Work on a tile, and keep what was found of it; ``last``: it is not tried again. Raises: as ``Product.tile``; OutputError."""
+    """Work on a tile, and keep what was found of it; ``last``: this is not tried again.
+
+    Raises: as ``Product.tile``; OutputError.
+    """
     summary, arrays = done_tile(product, dataclasses.replace(tile, patient=tile.patient and last))
     product.store.put(tile.number, arrays, found := summary.as_json())
     return Summary.of_json(found)

@@ -12,12 +12,13 @@ import numpy as np
 from ..core.cloud import Whole
 from ..files.copc import check_format, is_copc
 from ..files.disk import is_there
+from ..files.sources import WHOLE, squares_of
 from .measures import whole_of
 from .options import check_memory
 from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
 from .report import REPORT, TILE, RunReport, Standing
 from .survey import Survey
-from .tiles import LOCAL, WHOLE, Local, Tile
+from .tiles import LOCAL, Local, Tile
 
 
 def carry_out(survey: Survey, product: Product) -> Any:
@@ -31,7 +32,7 @@ def carry_out(survey: Survey, product: Product) -> Any:
         if is_copc(place) and source.point_format is not None:
             check_format(place, source.point_format)
     small = len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run
-    if small and files.where.fills:
+    if small and (squares_of(files[0]) is None or files.where.fills):
         return in_memory(survey, product)
     from .run import in_tiles
 

@@ -26,9 +26,6 @@ from .collection import common
 _LEAST = 1e-9
 """Share of the smaller of two files from which on they overlap."""
 
-WHOLE = 8_000_000
-"""Points of all data up to which they are one tile."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Local:
