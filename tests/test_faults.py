@@ -105,7 +105,7 @@ CHANGES = ("replaced", "shorter", "longer", "cut", "removed")
 def test_input_that_changes_while_it_is_read(tmp_path, monkeypatch, suffix, how):
     source = make(tmp_path / f"in{suffix}")
     with monkeypatch.context() as patch:
-        place = (files.Identity, "_lost", 0) if suffix == ".xyz" else (reading, "integers", 2 * (suffix == ".las"))
+        place = (files, "identify", 1) if suffix == ".xyz" else (reading, "integers", 2 * (suffix == ".las"))
         at_call(patch, *place, lambda: changed(source, how))
         with pytest.raises(InputError, match=r"in\..*changed while it was read"):
             read(source)

@@ -80,7 +80,7 @@ def write_octree(plain: Path, target: Path) -> None:
         file.write(struct.pack("<H16sHQ32s", 0, b"copc", 1000, entries.nbytes, b"COPC hierarchy") + entries.tobytes())
         hierarchy = file.tell() - entries.nbytes
         kept = [record for record in header.evlrs if record.key[0] != "copc"]
-        with header.open() as source:
+        with header.open() as (source, _):
             for record in kept:
                 source.seek(record.start)
                 file.write(source.read(record.end - record.start))

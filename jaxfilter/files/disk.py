@@ -39,33 +39,49 @@ class Identity:
     modified: int  # time of the last change, ns
     tag: str = ""  # of remote files, instead of the time: their ETag, or what else tells versions apart
 
-    @classmethod
-    def of(cls, place: int | Place) -> Identity:
-        """Of an open file, by its descriptor, or of the file that has a name now. Raises OSError, InputError."""
-        if isinstance(place, Remote):
-            size, tag = place.status()
-            return cls(0, 0, size, 0, tag)
-        status = os.stat(place)
-        return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
 
-    @contextlib.contextmanager
-    def kept(self, path: Place, message: str) -> Iterator[None]:
-        """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
-        not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
+def identify(place: int | Place) -> Identity:
+    """The identity of an open file, by its descriptor, or of the file that has a name now. Raises OSError, InputError."""
+    if isinstance(place, Remote):
+        size, tag = place.status()
+        return Identity(0, 0, size, 0, tag)
+    status = os.stat(place)
+    return Identity(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+@contextlib.contextmanager
+def opened(
+    place: Place, known: Identity | None = None, changed: str = CHANGED_IN_READING
+) -> Iterator[tuple[BinaryIO, Identity]]:
+    """An open file and its identity.
+
+    Raises: OSError; InputError if it is no regular file; InputError with the words ``changed`` if it is not the ``known`` one,
+    or if, when the block ends or fails, the name is that of another file or the file was changed: what the block then found
+    wrong is not to be believed.
+    """
+    remote = isinstance(place, Remote)
+    with place.open() if isinstance(place, Remote) else open(place, "rb") as file:
+        if not remote and not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            what = "is a pipe or a device, and only regular files are read; save it as a file first"
+            raise InputError(f"{place}: {what}")
+        identity = identify(place if remote else file.fileno())
+        if known is not None and identity != known:
+            raise InputError(f"{place}: {changed}")
         try:
-            yield
+            yield file, identity
         except Exception as error:
-            if self._lost(path):
-                raise InputError(f"{path}: {message}") from error
+            if not _is_still(place, identity):
+                raise InputError(f"{place}: {changed}") from error
             raise
-        if self._lost(path):
-            raise InputError(f"{path}: {message}")
+        if not _is_still(place, identity):
+            raise InputError(f"{place}: {changed}")
 
-    def _lost(self, path: Place) -> bool:
-        try:
-            return Identity.of(path) != self
-        except (OSError, InputError):
-            return True
+
+def _is_still(place: Place, identity: Identity) -> bool:
+    try:
+        return identify(place) == identity
+    except (OSError, InputError):
+        return False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,25 +92,26 @@ class Seal:
     checksum: str  # a hash of them, or the tag of a remote file
     status: Sequence[int]  # of a local file: changes with every change of it; only then the checksum is computed again
 
-    @classmethod
-    def of(cls, place: Place) -> Seal:
-        """Of a file that was just written. Raises OSError, InputError."""
-        if isinstance(place, Remote):
-            return cls(*place.status(), ())
-        size, status = _status(place)
-        with open(place, "rb") as file:
-            return cls(size, hashlib.file_digest(file, "blake2b").hexdigest()[:32], status)
-
     def broken(self, place: Place) -> str | None:
         """In words, what is wrong with the file that has this name now; None if it is the one that was sealed."""
         try:
             if isinstance(place, Path) and _status(place) == (self.size, list(self.status)):
                 return None
-            if (size := Identity.of(place).size) != self.size:
-                return f"has {size:,} bytes instead of {self.size:,}"
-            return None if Seal.of(place).checksum == self.checksum else "was changed"
+            found = seal_file(place)
         except (OSError, InputError):
             return "is missing"
+        if found.size != self.size:
+            return f"has {found.size:,} bytes instead of {self.size:,}"
+        return None if found.checksum == self.checksum else "was changed"
+
+
+def seal_file(place: Place) -> Seal:
+    """The seal of a file that was just written. Raises OSError, InputError."""
+    if isinstance(place, Remote):
+        return Seal(*place.status(), ())
+    size, status = _status(place)
+    with open(place, "rb") as file:
+        return Seal(size, hashlib.file_digest(file, "blake2b").hexdigest()[:32], status)
 
 
 def _status(path: Path) -> tuple[int, list[int]]:
@@ -127,22 +144,6 @@ def existing(path: Path) -> os.stat_result | None:
 def is_there(place: Place) -> bool:
     """Whether an output of this name would replace a file. Raises: OutputError as :func:`existing`, or if a store refuses."""
     return place.exists(OutputError) if isinstance(place, Remote) else existing(place) is not None
-
-
-@contextlib.contextmanager
-def opened(place: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, Identity]]:
-    """An open file and its identity; ``sequential``: it is read from end to end. Raises: InputError, OSError."""
-    if isinstance(place, Remote):
-        identity = Identity.of(place)
-        with place.open(sequential) as file:
-            yield file, identity
-    else:
-        with open(place, "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise InputError(
-                    f"{place}: is a pipe or a device, and only regular files are read; save it as a file first"
-                )
-            yield file, Identity.of(file.fileno())
 
 
 @contextlib.contextmanager

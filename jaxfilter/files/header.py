@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..core.errors import InputError
-from .disk import CHANGED_IN_READING, Identity, opened
+from .disk import Identity, opened
 from .storage import Place
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -85,13 +85,9 @@ class Header:
     scales, offsets, waveform_start = _Field(131, "3d"), _Field(155, "3d"), _Field(227, "Q", 3)
     legacy_count, full_count, evlr_start = _Field(107, "I"), _Field(247, "Q", 4), _Field(235, "Q", 4)
 
-    @contextlib.contextmanager
-    def open(self) -> Iterator[BinaryIO]:
-        """The file that the header is of. Raises: InputError if the name is another file's by now, OSError."""
-        with opened(self.path) as (file, identity):
-            if identity != self.identity:
-                raise InputError(f"{self.path}: {CHANGED_IN_READING}")
-            yield file
+    def open(self) -> contextlib.AbstractContextManager[tuple[BinaryIO, Identity]]:
+        """The file that the header is of, see :func:`jaxfilter.files.disk.opened`."""
+        return opened(self.path, self.identity)
 
     @property
     def version(self) -> int:

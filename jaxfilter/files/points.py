@@ -55,8 +55,8 @@ def read_points(
 
     Raises: InputError if the points are damaged.
     """
-    source = header.open() if file is None else contextlib.nullcontext(file)
-    with reading_errors(header.path), source as file:
+    source = header.open() if file is None else contextlib.nullcontext((file, header.identity))
+    with reading_errors(header.path), source as (file, _):
         if header.unread is None:
             check_chunks(header, file)
         if runs is None:
@@ -64,21 +64,16 @@ def read_points(
         for group in (runs if bounds is None else runs.meeting(bounds)).groups(CHUNK):
             points, numbers = decode(header, file, group, fields), group.records
             if bounds is not None:
-                if header.is_copc:
-                    _check_cubes(header, group, points)
+                if header.is_copc:  # points outside the cubes of their nodes: others of the box may be missing
+                    low, high = (ends[:, :2] * header.scales[:2] + header.offsets[:2] for ends in _ends(group, points))
+                    if not ((low >= group.low) & (high <= group.high)).all():
+                        words = "points lie outside the cubes of its octree, so those of a box cannot be found"
+                        raise InputError(
+                            f"{header.path}: {words}: read the whole file, without bounds, and write it anew"
+                        )
                 kept = inside(coordinates(points, header, 2), bounds)
                 points, numbers = points[kept], numbers[kept]
             yield points, numbers
-
-
-def _check_cubes(header: Header, nodes: Runs, points: Points) -> None:
-    """Raises: InputError if points of COPC lie outside the cubes of their nodes, so that others of the box may be missing."""
-    low, high = (ends[:, :2] * header.scales[:2] + header.offsets[:2] for ends in _ends(nodes, points))
-    if not ((low >= nodes.low) & (high <= nodes.high)).all():
-        raise InputError(
-            f"{header.path}: points lie outside the cubes of its octree, so those of a box cannot be found: read the whole file, "
-            "without bounds, and write it anew"
-        )
 
 
 def _ends(runs: Runs, points: Points) -> np.ndarray:
@@ -103,11 +98,11 @@ def decode(header: Header, file: BinaryIO, runs: Runs, fields: laspy.Decompressi
     return Points.from_buffer(records, format_of(header))
 
 
-def format_of(header: Header, more: int = 0) -> laspy.PointFormat:
-    """The point format, with all extra bytes, and ``more`` of them, as one dimension ``ExtraBytes``."""
+def format_of(header: Header) -> laspy.PointFormat:
+    """The point format, with all extra bytes as one dimension ``ExtraBytes``."""
     form, extra = laspy.PointFormat(header.point_format), header.record_length - RECORD_LENGTHS[header.point_format]
-    if extra + more:
-        form.add_extra_dimension(laspy.ExtraBytesParams("ExtraBytes", f"{extra + more}u1"))
+    if extra:
+        form.add_extra_dimension(laspy.ExtraBytesParams("ExtraBytes", f"{extra}u1"))
     return form
 
 
@@ -120,7 +115,7 @@ def measure(header: Header) -> tuple[Runs, np.ndarray]:
     """The runs of records of a file with the areas that their points cover, and lowest and highest x, y, z of all, f64[2, 3]:
     by a pass over the file. Raises: InputError."""
     ends = [np.zeros((2, 0, 3), np.int32)]
-    with reading_errors(header.path), header.open() as file:
+    with reading_errors(header.path), header.open() as (file, _):
         runs = Runs.of_file(header, file)
         for group in runs.groups(CHUNK):
             ends.append(_ends(group, decode(header, file, group, CLOUD)))
@@ -129,30 +124,22 @@ def measure(header: Header) -> tuple[Runs, np.ndarray]:
     return dataclasses.replace(runs, low=low[:, :2], high=high[:, :2]), extent
 
 
-def sampled_points(header: Header, file: BinaryIO) -> Points:
-    """The records of :func:`jaxfilter.core.echoes.sample`, with GPS times: all of a small file."""
+def sample_points(header: Header, file: BinaryIO) -> tuple[Points, np.ndarray]:
+    """The records of :func:`jaxfilter.core.echoes.sample`, with GPS times: all of a small file. And lowest and highest x, y, z,
+    f64[2, 3], of these, and of more of a large file on a disk: the first of each chunk of LAZ, and some of LAS."""
     found = Runs.of_file(header, file)
-    points = np.zeros_like(found.points)  # from the beginning of each run
+    taken = np.zeros_like(found.points)  # from the beginning of each run
     for part in sample(header.count):
         at = slice(np.searchsorted(found.first, part.start, "right") - 1, np.searchsorted(found.first, part.stop))
-        points[at] = np.minimum(found.points[at], part.stop - found.first[at])
-    if not header.compressed:
-        found = dataclasses.replace(found, size=points * header.record_length)
-    return decode(header, file, dataclasses.replace(found, points=points)[points > 0], CLOUD.decompress_gps_time())
-
-
-def sampled_extent(header: Header, file: BinaryIO, some: Points) -> np.ndarray:
-    """Lowest and highest x, y, z, f64[2, 3]: of ``some`` points, and of more of a large file on a disk, the first of each
-    chunk of LAZ and every so many of LAS."""
-    ticks = integers(some)
-    if len(some) < header.count and not isinstance(header.path, Remote):
-        start = len(header.head) + np.linspace(0, header.count - 1, 1000).astype(np.int64) * header.record_length
-        if header.compressed:
-            start, size, _ = chunk_table(header, file)
-            start = start[size > 12]
-        ticks = np.concatenate([ticks, pieces(header, file, start, 12).view("<i4")])
+        taken[at] = np.minimum(found.points[at], part.stop - found.first[at])
+    size = found.size if header.compressed else taken * header.record_length
+    some = dataclasses.replace(found, size=size, points=taken)[taken > 0]
+    points = decode(header, file, some, CLOUD.decompress_gps_time())
+    ticks = integers(points)
+    if len(points) < header.count and not isinstance(header.path, Remote):
+        ticks = np.concatenate([ticks, pieces(header, file, found.start, 12).view("<i4")])
     xyz = ticks * header.scales + header.offsets
-    return np.stack([xyz.min(axis=0), xyz.max(axis=0)])
+    return points, np.stack([xyz.min(axis=0), xyz.max(axis=0)])
 
 
 def echo_keys(points: Points, header: Header) -> np.ndarray:
@@ -243,22 +230,20 @@ class Handle:
         now."""
         with contextlib.ExitStack() as stack:
             try:
-                file, found = stack.enter_context(opened(self.path))
+                file, _ = stack.enter_context(opened(self.path, self.header.identity, CHANGED_SINCE))
             except OSError as error:
                 lost = f"{self.path}: the source of the cloud cannot be read again: {error.strerror}"
                 raise InputError(f"{lost}; put it back, or read it again where it is now") from error
-            if found != self.header.identity:
-                raise InputError(f"{self.path}: {CHANGED_SINCE}")
-            stack.enter_context(self.header.identity.kept(self.path, CHANGED_SINCE))
             yield file
 
 
 class Writer:
-    """Writes the points of a file once more, through laspy. What laspy would not keep is copied from the file ``header`` is
-    of: dates, names, variable length records with their padding, what follows the points.
+    """Writes the points of a file once more: its header and records as they are, but for what is known of the points only
+    when all are written, and what follows its points.
 
     Args:
         file: binary, empty; read and written.
+        header: of the file; its variable length records are copied.
         compressed: LAZ instead of LAS.
         extra: names and descriptions of float32 dimensions that are added.
         crs: number and data of a record that is added.
@@ -273,73 +258,81 @@ class Writer:
         crs: tuple[int, bytes] | None = None,
     ) -> None:
         self.file, self.header, self.extra = file, header, extra
-        self._wkt = crs is not None and crs[0] == WKT
-        self._records = list(_kept_records(header, extra, crs))
-        number, form = header.point_format, format_of(header, 4 * len(extra))
-        minor = max(2, header.version, 3 if number > 3 else 0, 4 if number > 5 else 0)
-        made = laspy.LasHeader(version=f"1.{minor if number > 5 else min(minor, 4)}", point_format=form)
-        made.scales, made.offsets = header.scales, header.offsets
-        made.vlrs.clear()
-        made.extra_header_bytes = header.head[HEADER_LENGTHS[header.minor] : header.size]
-        made.extra_vlr_bytes = (
-            b"".join(self._records) + header.head[header.vlrs[-1].end if header.vlrs else header.size :]
-        )
-        self._laszip = laszip_record(number, form.num_extra_bytes) if compressed else b""
-        self._output = _Output(file)
-        with self._output.errors():
+        number, length = header.point_format, header.record_length + 4 * len(extra)
+        laszip = laszip_record(number, length - RECORD_LENGTHS[number])
+        records = [*_kept_records(header, extra, crs), *([vlr(*LASZIP, laszip)] if compressed else [])]
+        size = max(header.size, HEADER_LENGTHS[header.version])  # LAS 1.3 may come with the header of LAS 1.2
+        self.head = bytearray(header.head[: header.size].ljust(size, b"\0"))
+        if crs is not None and crs[0] == WKT:
+            self.head[6] |= 16
+        start = size + sum(map(len, records))
+        struct.pack_into("<H2I", self.head, 94, size, start, len(records))
+        struct.pack_into("<BH", self.head, 104, number | 0x80 * compressed, length)
+        file.write(self.head + b"".join(records))
+        self._ends, self._returns = np.zeros((2, 0, 3), np.int32), np.zeros(15, np.int64)
+        self._count = 0
+        self._output, self._coder = _Output(file), None
+        if compressed:
             need_threads()
-            self._laspy = laspy.LasWriter(
-                self._output, made, do_compress=compressed, laz_backend=laspy.LazBackend.LazrsParallel, closefd=False
-            )
+            with self._output.errors():
+                self._coder = lazrs.ParLasZipCompressor(self._output, lazrs.LazVlr(laszip))
 
     def write(self, points: Points, columns: dict[str, np.ndarray]) -> None:
         """Append points, with the dimensions that are added, f32[n] each. Raises: OSError."""
-        form, array = self._laspy.header.point_format, points.array
+        if not len(points):
+            return
+        ticks = integers(points)
+        self._ends = np.concatenate([self._ends, [[ticks.min(axis=0)], [ticks.max(axis=0)]]], axis=1)
+        self._returns += np.bincount(np.asarray(points.return_number), minlength=16)[1:16]
+        self._count += len(points)
+        data = points.array.view(np.uint8).reshape(len(points), -1)
         if self.extra:
-            old = array.view(np.uint8).reshape(len(array), array.dtype.itemsize)
             new = np.stack([columns[name] for name in self.extra], axis=1).astype("<f4").view(np.uint8)
-            array = np.concatenate([old, new], axis=1).view(form.dtype())[:, 0]
+            data = np.concatenate([data, new], axis=1)
+        if self._coder is None:
+            self.file.write(data.data)
+            return
         with self._output.errors():
-            self._laspy.write_points(Points(array, form))
+            self._coder.compress_many(data.reshape(-1))
 
     def finish(self, source: BinaryIO | None) -> None:
         """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
-        with self._output.errors():
-            self._laspy.close()
-        made, old = self._laspy.header, self.header.head
-        patches = {4: old[4:24], 26: old[26:94]}  # source, encoding, project; names, dates
-        patches[100] = struct.pack("<I", len(self._records) + bool(self._laszip))
-        if self._wkt:
-            patches[6] = bytes([old[6] | 16])
-        if made.version.minor == 2:  # the same header as those before it
-            patches[25] = old[25:26]
-        if self._laszip:
-            patches[HEADER_LENGTHS[made.version.minor] + len(made.extra_header_bytes) + 54] = self._laszip
-        if made.version.minor >= 4 and self.header.point_format < 6 and made.point_count < 2**32:
-            patches[107] = struct.pack("<6I", made.point_count, *made.number_of_points_by_return[:5].tolist())
+        if self._coder is not None:
+            with self._output.errors():
+                self._coder.done()
+        header, head, low, high = self.header, self.head, np.zeros(3), np.zeros(3)
+        if self._count:
+            ticks = self._ends[0].min(axis=0), self._ends[1].max(axis=0)
+            low, high = (one * header.scales + header.offsets for one in ticks)
+        struct.pack_into("<6d", head, 179, *np.stack([high, low], axis=1).reshape(-1))
+        known = header.version < 4 or (header.point_format < 6 and self._count < 2**32)
+        struct.pack_into("<6I", head, 107, *(self._count, *self._returns[:5].tolist()) if known else [0] * 6)
+        if header.version >= 4:
+            struct.pack_into("<QI16Q", head, 235, 0, 0, self._count, *self._returns.tolist())
         if source is not None:
-            patches |= self._copy_tail(source)
-        for at, value in patches.items():
-            self.file.seek(at)
-            self.file.write(value)
+            self._copy_tail(source)
+        self.file.seek(0)
+        self.file.write(head)
 
-    def _copy_tail(self, file: BinaryIO) -> dict[int, bytes]:
-        """Append what follows the points of a file. Returns: what the header says of it, by the byte where it stands."""
+    def _copy_tail(self, file: BinaryIO) -> None:
+        """Append what follows the points of a file, and put into the header where that lies."""
         source, at = self.header, self.file.seek(0, 2)
-        kept = without_octree(source, source.evlrs)
+        kept, starts = without_octree(source, source.evlrs), {227: 0} if source.version >= 3 else {}
         if len(kept) < len(source.evlrs):
-            starts = {235: at} if kept else {}
+            starts |= {235: at} if kept else {}
             for record in kept:
                 file.seek(record.start)
                 self.file.write(file.read(record.end - record.start))
         else:
             file.seek(source.tail)
             shutil.copyfileobj(file, self.file, 2**20)
-            old = {227: source.waveform_start, 235: source.evlr_start}
-            there = {field: start for field, start in old.items() if source.tail <= start <= source.identity.size}
-            starts = {field: start + at - source.tail for field, start in there.items() if start}
-        found = {field: struct.pack("<Q", start) for field, start in starts.items()}
-        return found | ({243: struct.pack("<I", len(kept))} if kept else {})
+            for field, start in ((227, source.waveform_start), (235, source.evlr_start)):
+                if start and source.tail <= start <= source.identity.size:
+                    starts[field] = start + at - source.tail
+        for field, start in starts.items():
+            struct.pack_into("<Q", self.head, field, start)
+        if kept:
+            struct.pack_into("<I", self.head, 243, len(kept))
 
 
 def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] | None) -> Iterator[bytes]:

@@ -19,7 +19,7 @@ from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
-from .disk import CHANGED_IN_READING, Bounds, Identity, opened
+from .disk import Bounds, Identity, identify, opened
 from .guard import check_chunks, read_header, reading_errors
 from .header import Header
 from .points import (
@@ -31,8 +31,7 @@ from .points import (
     attributes,
     integers,
     read_points,
-    sampled_extent,
-    sampled_points,
+    sample_points,
 )
 from .runs import Runs
 from .storage import Place, Remote, place_of
@@ -166,15 +165,14 @@ class LasFile:
         with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
             columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
-        with header.identity.kept(path, CHANGED_IN_READING):
-            for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
-                progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
-                rows = slice(n, n + len(points))
-                ticks[rows] = integers(points)
-                for name, values in attributes(points, header).items():
-                    columns[name][rows] = values
-                note(points, record)
-                n = rows.stop
+        for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
+            progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
+            rows = slice(n, n + len(points))
+            ticks[rows] = integers(points)
+            for name, values in attributes(points, header).items():
+                columns[name][rows] = values
+            note(points, record)
+            n = rows.stop
         if n < most:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
         stated = reference.units is not None or cut is not None
@@ -207,8 +205,7 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
             if tables:
                 header = dataclasses.replace(header, unread=check_chunks(header, file))
                 if header.count:
-                    some = sampled_points(header, file)
-                    extent = sampled_extent(header, file, some)
+                    some, extent = sample_points(header, file)
                     time = some.gps_time if "gps_time" in some.array.dtype.names else None
                     how = numbering(attributes(some, header), some.Z, time)
             stated = {}
@@ -226,7 +223,7 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
 def kept_las(path: Place, tables: bool = False) -> LasFile:
     """:func:`open_las`. Those of the last files are kept as long as the files stay the same, since every tile asks for them."""
     with reading_errors(path):
-        return _kept_las(path, Identity.of(path), tables)
+        return _kept_las(path, identify(path), tables)
 
 
 @functools.lru_cache(_FILES)

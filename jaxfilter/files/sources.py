@@ -273,5 +273,5 @@ def _text_window(source: Source, reading: Reading) -> Window:
 def _runs(place: Place, identity: Identity) -> Runs:
     """``identity`` is that of the file now."""
     header = kept_las(place, tables=True).header
-    with reading_errors(place), header.open() as file:
+    with reading_errors(place), header.open() as (file, _):
         return nodes(header, file) if header.is_copc else measure(header)[0]

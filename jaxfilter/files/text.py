@@ -26,7 +26,7 @@ from ..core.errors import InputError
 from ..core.inputs import COLUMNS, LARGEST
 from ..core.reading import Reading, inside
 from ..core.units import check_lengths, sampled
-from .disk import CHANGED_IN_READING, CHANGED_SINCE, Bounds, Identity
+from .disk import CHANGED_SINCE, Bounds, Identity, identify, opened
 from .guard import reading_errors
 
 SUFFIXES = (".txt", ".xyz", ".csv")
@@ -110,8 +110,8 @@ class TextFile:
         ``ground`` is bool[n]; ``classes`` makes new classes u8[n] of the old ones. Raises: InputError if the file is gone or has
         changed; OSError.
         """
-        with reading_errors(self.path), self.identity.kept(self.path, CHANGED_SINCE):
-            content = self.path.read_bytes()
+        with reading_errors(self.path), opened(self.path, self.identity, CHANGED_SINCE) as (file, _):
+            content = file.read()
             if zlib.crc32(content) != self.checksum:
                 raise InputError(f"{self.path}: {CHANGED_SINCE}")
             lines = _lines(self.path, content)
@@ -143,9 +143,8 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
     labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``; if columns cannot be told.
     """
     with reading_errors(path):
-        identity = Identity.of(path)
-        with identity.kept(path, CHANGED_IN_READING):
-            content = path.read_bytes()
+        with opened(path) as (file, identity):
+            content = file.read()
         lines = _lines(path, content)
         xyz, columns = lines.points()
         words = f"text separated by {_DELIMITERS[lines.delimiter]}: {' '.join(lines.columns)}"
@@ -164,7 +163,7 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
 def kept_text(path: Path) -> TextFile:
     """All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
     with reading_errors(path):
-        return _kept_text(path, Identity.of(path))
+        return _kept_text(path, identify(path))
 
 
 @functools.lru_cache(1)

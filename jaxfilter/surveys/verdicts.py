@@ -21,7 +21,7 @@ from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
-from ..files.disk import Seal, check_suffix, new_file
+from ..files.disk import Seal, check_suffix, new_file, seal_file
 from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
 from ..files.vectors import SUFFIXES
@@ -330,7 +330,7 @@ class _Log:
             facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})
-        seals = {name: dataclasses.asdict(Seal.of(parts.get(name, self.path.parent / name))) for name in names}
+        seals = {name: dataclasses.asdict(seal_file(parts.get(name, self.path.parent / name))) for name in names}
         with new_file(self.path, overwrite=True, into=into) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
 

@@ -45,7 +45,7 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
     known: dict[Any, tuple[Reference, str | None]] = {}
-    with reading_errors(place), opened(place, sequential=True) as (file, _):
+    with reading_errors(place), opened(place) as (file, _):
         content = json.load(TextIOWrapper(file, "utf-8"))
     items = content.get("features") if isinstance(content, dict) else None
     if not isinstance(items, list):
