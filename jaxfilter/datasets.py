@@ -19,9 +19,9 @@ from .core.errors import InputError
 from .core.inputs import class_numbers
 from .core.reading import Reading
 from .files.reading import read
+from .files.writing import CLOUD_SUFFIXES
 from .scoring import GROUND, NEVER_CLASSIFIED
 
-SUFFIXES = (".las", ".laz", ".txt", ".xyz", ".csv")
 HOW_TO_GET = """\
 Data sets lie in the folder that JAXFILTER_DATA names, or in shared/data beside the checkout. The data of ISPRS Working Group
 III/3 (Sithole and Vosselman 2004, ISPRS J. Photogramm. Remote Sens. 59, 85-101; the ISPRS benchmark pages distribute them) are
@@ -59,10 +59,10 @@ def load(name: str, *, data: str | os.PathLike[str] | None = None, reading: Read
     path = Path(name)
     if not path.is_file():
         root = home(data)
-        path = next((p for p in (root / name, *(root / f"{name}{end}" for end in SUFFIXES)) if p.is_file()), path)
+        path = next((p for p in (root / name, *(root / f"{name}{end}" for end in CLOUD_SUFFIXES)) if p.is_file()), path)
     if not path.is_file():
         inside = root / Path(name).parent
-        near = sorted(p.stem for p in inside.glob("*") if p.suffix.lower() in SUFFIXES)
+        near = sorted(p.stem for p in inside.glob("*") if p.suffix.lower() in CLOUD_SUFFIXES)
         there = f"{inside} has {', '.join(near[:20])}" if near else f"{inside} has no clouds"
         raise InputError(f"there is no data set {name!r}: {there}. {HOW_TO_GET}")
     return _read(path, reading)
@@ -96,9 +96,9 @@ def folder(
     (['scene', 'survey/east', 'survey/west'], True)
     """
     root = Path(path) if Path(path).is_dir() else home() / path
-    files = sorted(p for p in root.rglob("*") if p.suffix.lower() in SUFFIXES)
+    files = sorted(p for p in root.rglob("*") if p.suffix.lower() in CLOUD_SUFFIXES)
     if not files:
-        raise InputError(f"{root} holds no file that ends with {', '.join(SUFFIXES)}. {HOW_TO_GET}")
+        raise InputError(f"{root} holds no file that ends with {', '.join(CLOUD_SUFFIXES)}. {HOW_TO_GET}")
     names = [p.relative_to(root).with_suffix("").as_posix() for p in files]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

@@ -92,8 +92,8 @@ def at_call(monkeypatch, owner, name, number, action):
 @pytest.fixture
 def in_parts(monkeypatch):
     """Files are read a hundred points at a time."""
-    monkeypatch.setattr(points, "CHUNK", 100)
-    monkeypatch.setattr(runs, "RUN", 100)
+    monkeypatch.setattr(points, "POINTS_AT_ONCE", 100)
+    monkeypatch.setattr(runs, "RUN_LENGTH", 100)
 
 
 CHANGES = ("replaced", "shorter", "longer", "cut", "removed")

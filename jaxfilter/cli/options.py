@@ -222,10 +222,10 @@ def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "")
     named = list(filter(None, targets))
     if not named:
         return
-    from ..files.vectors import SUFFIXES
+    from ..files.vectors import VECTOR_SUFFIXES
 
     for target in named:
-        check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
+        check_target(target, options["overwrite"] or options["resume"], VECTOR_SUFFIXES, made)
     if len({os.path.realpath(target) for target in named}) < len(named):
         raise BadUsage(f"{named[0]}: one file cannot hold both places and breaklines: name two")
 

@@ -20,12 +20,12 @@ from ..core.process import need_threads
 from ..core.reading import inside
 from ..core.units import PROJECTION, WKT
 from .disk import CHANGED_SINCE, Bounds, opened
-from .guard import check_chunks, chunk_table, laszip_record, pieces, reading_errors
+from .guard import check_chunks, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
 from .runs import Runs, nodes
 from .storage import Place, Remote
 
-CHUNK = 1_000_000
+POINTS_AT_ONCE = 1_000_000
 """Points that are held at a time."""
 _SAME = 1e-5
 """Units, to which coordinates are rounded before they are compared."""
@@ -61,7 +61,7 @@ def read_points(
             check_chunks(header, file)
         if runs is None:
             runs = nodes(header, file) if header.is_copc and bounds is not None else Runs.of_file(header, file)
-        for group in (runs if bounds is None else runs.meeting(bounds)).groups(CHUNK):
+        for group in (runs if bounds is None else runs.meeting(bounds)).groups(POINTS_AT_ONCE):
             points, numbers = decode(header, file, group, fields), group.records
             if bounds is not None:
                 if header.is_copc:  # points outside the cubes of their nodes: others of the box may be missing
@@ -117,7 +117,7 @@ def measure(header: Header) -> tuple[Runs, np.ndarray]:
     ends = [np.zeros((2, 0, 3), np.int32)]
     with reading_errors(header.path), header.open() as (file, _):
         runs = Runs.of_file(header, file)
-        for group in runs.groups(CHUNK):
+        for group in runs.groups(POINTS_AT_ONCE):
             ends.append(_ends(group, decode(header, file, group, CLOUD)))
     low, high = np.concatenate(ends, axis=1) * header.scales + header.offsets
     extent = np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else np.full((2, 3), np.nan)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -19,13 +18,13 @@ from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
-from .disk import Bounds, Identity, identify, opened
-from .guard import check_chunks, read_header, reading_errors
+from .disk import Bounds, opened
+from .guard import check_chunks, keep_results, read_header, reading_errors
 from .header import Header
 from .points import (
     ALL,
-    CHUNK,
     CLOUD,
+    POINTS_AT_ONCE,
     Handle,
     Points,
     attributes,
@@ -35,7 +34,7 @@ from .points import (
 )
 from .runs import Runs
 from .storage import Place, Remote, place_of
-from .text import SUFFIXES, TextFile, open_text
+from .text import TEXT_SUFFIXES, TextFile, open_text
 from .writing import LAS_SUFFIXES, write
 
 if TYPE_CHECKING:
@@ -117,14 +116,14 @@ def is_text(path: Place) -> bool:
     suffix = path.suffix.lower()
     if suffix in LAS_SUFFIXES:
         return False
-    if isinstance(path, Remote) and suffix in SUFFIXES:
+    if isinstance(path, Remote) and suffix in TEXT_SUFFIXES:
         raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     with reading_errors(path), opened(path) as (file, _):
         if file.read(4) == b"LASF":
             return False
-    if suffix in SUFFIXES:
+    if suffix in TEXT_SUFFIXES:
         return True
-    raise InputError(f"{path}: neither LAS nor one of {', '.join(SUFFIXES)}; give text one of these suffixes")
+    raise InputError(f"{path}: neither LAS nor one of {', '.join(TEXT_SUFFIXES)}; give text one of these suffixes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,7 +165,7 @@ class LasFile:
             ticks, n = np.empty((most, 3), np.int32), 0
             columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
         for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
-            progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
+            progress(min(1.0, number * POINTS_AT_ONCE / max(header.count, 1)), "read")
             rows = slice(n, n + len(points))
             ticks[rows] = integers(points)
             for name, values in attributes(points, header).items():
@@ -220,16 +219,8 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         return LasFile(header, reference_of(stated, str(path), wkt), extent, how)
 
 
-def kept_las(path: Place, tables: bool = False) -> LasFile:
-    """:func:`open_las`. Those of the last files are kept as long as the files stay the same, since every tile asks for them."""
-    with reading_errors(path):
-        return _kept_las(path, identify(path), tables)
-
-
-@functools.lru_cache(_FILES)
-def _kept_las(path: Place, identity: Identity, tables: bool) -> LasFile:
-    """``identity`` is that of the file now."""
-    return open_las(path, tables)
+kept_las = keep_results(_FILES)(open_las)
+"""Those of the last files are kept, since every tile asks for them."""
 
 
 def open_points(place: Place, reading: Reading) -> LasFile | TextFile:

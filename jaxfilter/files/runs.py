@@ -1,6 +1,6 @@
 """Runs of point records, and the area that each covers: which part of a file has to be read for a box.
 
-The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN` records of LAS. What area the points of a run of LAS or LAZ
+The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN_LENGTH` records of LAS. What area the points of a run of LAS or LAZ
 cover is found by one pass over the file. The octree of COPC says it (Hobu Inc., COPC specification 1.0: info
 record of 160 bytes, hierarchy pages of 32-byte entries).
 """
@@ -20,7 +20,7 @@ from .guard import chunk_table, pieces
 from .header import Header
 from .storage import Remote
 
-RUN = 16384
+RUN_LENGTH = 16384
 """Records of LAS in a run."""
 
 ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
@@ -55,12 +55,12 @@ class Runs:
 
     @classmethod
     def of_file(cls, header: Header, file: BinaryIO) -> Runs:
-        """The chunks of LAZ; :data:`RUN` records each of LAS."""
+        """The chunks of LAZ; :data:`RUN_LENGTH` records each of LAS."""
         if header.count and header.compressed:
             start, size, points = chunk_table(header, file)
             return cls.of_chunks(start, size, np.diff(np.minimum(np.cumsum(points), header.count), prepend=0))
-        first = np.arange(0, header.count, RUN)
-        points, length = np.minimum(header.count - first, RUN), header.record_length
+        first = np.arange(0, header.count, RUN_LENGTH)
+        points, length = np.minimum(header.count - first, RUN_LENGTH), header.record_length
         return cls.of_chunks(len(header.head) + first * length, points * length, points)
 
     def meeting(self, box: Bounds) -> Runs:

@@ -22,10 +22,9 @@ from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
 from .guard import read_header
 from .header import FLOATS, Header
-from .points import CHUNK, CLOUD, Handle, Points, Writer, attributes, coordinates, put_classes
+from .points import CLOUD, POINTS_AT_ONCE, Handle, Points, Writer, attributes, coordinates, put_classes
 from .storage import Place, Remote, place_of
-from .text import SUFFIXES as TEXT_SUFFIXES
-from .text import TextFile, write_table
+from .text import TEXT_SUFFIXES, TextFile
 
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
@@ -44,6 +43,7 @@ EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
 """Quantities of a FilterResult that can be written along with the points."""
 
 LAS_SUFFIXES = (".las", ".laz")
+CLOUD_SUFFIXES = LAS_SUFFIXES + TEXT_SUFFIXES
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def write_cloud(
 ) -> Place:
     """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
     kind = path.suffix.lower()
-    if kind not in LAS_SUFFIXES + TEXT_SUFFIXES:
+    if kind not in CLOUD_SUFFIXES:
         known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *TEXT_SUFFIXES))
         raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
@@ -344,8 +344,8 @@ def _runs(cloud: PointCloud, opened: BinaryIO | None) -> Iterator[np.ndarray]:
     if isinstance(cloud.source, Handle) and opened is not None:
         yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(opened, CLOUD))
         return
-    for start in range(0, len(cloud), CHUNK):
-        rows = slice(start, start + CHUNK)
+    for start in range(0, len(cloud), POINTS_AT_ONCE):
+        rows = slice(start, start + POINTS_AT_ONCE)
         if isinstance(cloud.source, TextFile):
             yield cloud.source.xyz[rows]
         else:
@@ -366,7 +366,8 @@ def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels
         done = 0
         for xyz in _runs(cloud, opened):
             rows = slice(done, done := done + len(xyz))
-            write_table(file, xyz, labels.ground[rows], decimals, delimiter)
+            table, form = np.column_stack([xyz, ~labels.ground[rows]]), [f"%.{decimals}f"] * 3 + ["%d"]
+            np.savetxt(file, table, form, delimiter)
 
 
 def _decimals(header: Header) -> int:

@@ -22,7 +22,7 @@ from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file, with_true_extent
 from ..files.storage import Remote, place_of
-from ..files.text import SUFFIXES as TEXT
+from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 
 if TYPE_CHECKING:

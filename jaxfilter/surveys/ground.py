@@ -15,7 +15,7 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.classes import Classes, Finding, Found, class_changes, findings_of
-from ..files.text import SUFFIXES as TEXT
+from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection

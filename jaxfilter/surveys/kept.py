@@ -48,9 +48,9 @@ def suspects_in(
 
 def check_shapes(path: Path) -> None:
     """Raises: OutputError if the name is not that of a GeoPackage or GeoJSON."""
-    from ..files.vectors import SUFFIXES
+    from ..files.vectors import VECTOR_SUFFIXES
 
-    check_suffix(path, SUFFIXES)
+    check_suffix(path, VECTOR_SUFFIXES)
 
 
 def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:

@@ -24,7 +24,7 @@ from ..files.classes import Classes, Finding, Found
 from ..files.disk import Seal, check_suffix, new_file, seal_file
 from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
-from ..files.vectors import SUFFIXES
+from ..files.vectors import VECTOR_SUFFIXES
 from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
@@ -399,7 +399,7 @@ def review_survey(
     >>> report.complete, report.points == len(cloud)
     (True, True)
     """
-    check_suffix(target := Path(path), SUFFIXES)
+    check_suffix(target := Path(path), VECTOR_SUFFIXES)
     check_in_place(reading)
     return reviewed(what, target, target, ground, reading, run)
 

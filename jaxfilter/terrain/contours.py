@@ -14,7 +14,7 @@ import numpy as np
 from ..core.errors import ParameterError, check_positive
 from ..files.disk import check_suffix
 from ..files.storage import place_of
-from ..files.vectors import SUFFIXES, write_features
+from ..files.vectors import VECTOR_SUFFIXES, write_features
 from .layer import Layer
 from .models import Dtm
 from .raster import STRIP, Raster
@@ -31,7 +31,7 @@ _MOST = 5_000  # elevations of lines in a block
 class Contours(Layer):
     """Make contour lines of the terrain model, a GeoPackage or GeoJSON of lines with their elevation."""
 
-    NAME, TITLE, SUFFIXES = "contours", "elevation", SUFFIXES
+    NAME, TITLE, SUFFIXES = "contours", "elevation", VECTOR_SUFFIXES
     interval: float = 1.0
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ def contours(
     import pandas as pd
 
     layer, z = Contours(interval), model.values
-    target = None if path is None else check_suffix(place_of(path), SUFFIXES)
+    target = None if path is None else check_suffix(place_of(path), VECTOR_SUFFIXES)
     strips = (z[top : top + STRIP + 1] for top in range(0, max(1, len(z) - 1), STRIP))
     table = pd.concat(list(contour_tables(strips, interval, model.transform, model.crs)), ignore_index=True)
     if target is not None:
