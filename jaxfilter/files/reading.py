@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,7 +12,7 @@ import numpy as np
 from laspy import DecompressionSelection
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
-from ..core.echoes import Numbering, numbering
+from ..core.echoes import Numbering, numbering, sample
 from ..core.errors import InputError, warn
 from ..core.inputs import COLUMNS, is_laspy
 from ..core.reading import Reading, inside
@@ -29,10 +30,11 @@ from .points import (
     Points,
     attributes,
     integers,
+    measure,
     read_points,
     sample_points,
 )
-from .runs import Runs
+from .runs import Runs, nodes
 from .storage import Place, Remote, place_of
 from .text import TEXT_SUFFIXES, TextFile, open_text
 from .writing import LAS_SUFFIXES, write
@@ -43,7 +45,8 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
-_FILES = 64  # whose headers a process keeps
+FARTHEST = 1e12
+"""Units from zero that no coordinate reaches: the Earth in millimetres is smaller."""
 
 
 def read(
@@ -133,8 +136,51 @@ class LasFile:
 
     header: Header
     reference: Reference
-    extent: np.ndarray | None = None
+    seen: np.ndarray | None = None
     numbering: Numbering = Numbering.SOUND
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the file, see ``Header.fingerprint``."""
+        return self.header.fingerprint
+
+    @functools.cached_property
+    def runs(self) -> Runs:
+        """The runs of its records with the areas that they cover: of LAS and LAZ, by a pass over the file. Raises: InputError."""
+        if not self.header.is_copc:
+            return measure(self.header)[0]
+        with reading_errors(self.header.path), self.header.open() as (file, _):
+            return nodes(self.header, file)
+
+    @functools.cached_property
+    def extent(self) -> np.ndarray:
+        """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show
+        that this cannot be; then those of the points. Raises: InputError if these are too far away. Warns: if the header is
+        wrong."""
+        header, (low, high) = self.header, self.header.extent
+        stated = np.stack([low, high])
+        sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
+        if not header.count or (sane and self.seen is None):
+            return stated
+        seen = self.seen if self.seen is not None else open_las(header.path).seen
+        assert seen is not None
+        slack, small = 2 * header.scales, len(sample(header.count)) == 1
+        if sane and not small:
+            reached = (high - low <= 2 * (seen[1] - seen[0]) + slack)[:2].all()  # some points do not reach the edges
+            if reached and (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all():
+                return stated
+        found = seen if small else measure(header)[1]
+        if (far := abs(found) >= FARTHEST).any():
+            axis = int(far.any(axis=0).argmax())
+            words = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
+            raise InputError(f"{header.path}: {words}: correct scale and offset in its header")
+        margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
+        if not ((abs(stated - found) <= margin).all() and (low <= found[0] + slack).all()):
+            words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (stated, np.round(found, 3)))
+            warn(
+                f"{header.path}: its header states the extent {words}, but its points lie in {true}: their extent is used"
+            )
+        return found
 
     def cloud(
         self,
@@ -200,11 +246,11 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
     """
     with reading_errors(path):
         with opened(path) as (file, identity):
-            header, extent, how = read_header(path, file, identity), None, Numbering.SOUND
+            header, seen, how = read_header(path, file, identity), None, Numbering.SOUND
             if tables:
                 header = dataclasses.replace(header, unread=check_chunks(header, file))
                 if header.count:
-                    some, extent = sample_points(header, file)
+                    some, seen = sample_points(header, file)
                     time = some.gps_time if "gps_time" in some.array.dtype.names else None
                     how = numbering(attributes(some, header), some.Z, time)
             stated = {}
@@ -216,16 +262,22 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         for remark in header.remarks():
             warn(f"{path}: {remark}")
         wkt = header.point_format >= 6 or bool(header.head[6] & 16)  # of the global encoding
-        return LasFile(header, reference_of(stated, str(path), wkt), extent, how)
+        return LasFile(header, reference_of(stated, str(path), wkt), seen, how)
 
 
-kept_las = keep_results(_FILES)(open_las)
-"""Those of the last files are kept, since every tile asks for them."""
+_kept_las = keep_results(64)(open_las)
+_kept_text = keep_results(1)(open_text)
 
 
 def open_points(place: Place, reading: Reading) -> LasFile | TextFile:
     """A file of any kind; of text, the points inside ``reading.bounds``. Raises: InputError."""
     return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
+
+
+def kept_file(place: Place, tables: bool = True) -> LasFile | TextFile:
+    """A file of any kind, see :func:`open_las`; those of the last files are kept, since every tile asks for them. Raises:
+    InputError."""
+    return _kept_text(place) if is_text(place) else _kept_las(place, tables)
 
 
 def warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:

@@ -1,8 +1,8 @@
 """Runs of point records, and the area that each covers: which part of a file has to be read for a box.
 
-The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN_LENGTH` records of LAS. What area the points of a run of LAS or LAZ
-cover is found by one pass over the file. The octree of COPC says it (Hobu Inc., COPC specification 1.0: info
-record of 160 bytes, hierarchy pages of 32-byte entries).
+The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN_LENGTH` records of LAS. What area the points of a run of LAS or
+LAZ cover is found by one pass over the file. The octree of COPC says it (Hobu Inc., COPC specification 1.0: info record of 160
+bytes, hierarchy pages of 32-byte entries).
 """
 
 from __future__ import annotations

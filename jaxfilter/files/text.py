@@ -24,7 +24,7 @@ from ..core.inputs import COLUMNS, LARGEST
 from ..core.reading import Reading, inside
 from ..core.units import check_lengths, sampled
 from .disk import CHANGED_SINCE, Bounds, Identity, opened
-from .guard import keep_results, reading_errors
+from .guard import reading_errors
 
 TEXT_SUFFIXES = (".txt", ".xyz", ".csv")
 
@@ -157,10 +157,6 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
         hint = "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
         raise InputError(f"{lines.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
     return part
-
-
-kept_text = keep_results(1)(open_text)
-"""All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
 
 
 class _Lines(NamedTuple):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError, OutputError, warn
 from ..core.units import for_outputs, horizontal, same_system
 from .disk import new_file
-from .sources import FARTHEST
+from .reading import FARTHEST
 from .storage import Place
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,7 +22,7 @@ from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import CHANGED_SINCE, Identity, new_file
 from .guard import read_header
 from .header import FLOATS, Header
-from .points import CLOUD, POINTS_AT_ONCE, Handle, Points, Writer, attributes, coordinates, put_classes
+from .points import Handle, Points, Writer, attributes, put_classes
 from .storage import Place, Remote, place_of
 from .text import TEXT_SUFFIXES, TextFile
 
@@ -48,37 +48,32 @@ CLOUD_SUFFIXES = LAS_SUFFIXES + TEXT_SUFFIXES
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Additions:
-    """What is written along with the points.
+    """What is written along with the points: ``columns``, f[n] by name, become float32 extra bytes; ``z``, f[n], takes the place
+    of Z."""
 
-    Attributes:
-        extra: quantities of the result that become float32 extra bytes, see :func:`write`.
-        columns: f[n] by name, further extra bytes.
-        z: f[n], in place of Z.
-
-    Raises: ParameterError for quantities that there are not, or twice.
-    """
-
-    extra: Iterable[str] = ()
     columns: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     z: np.ndarray | None = None
 
-    def __post_init__(self) -> None:
-        names = tuple(self.extra)
-        object.__setattr__(self, "extra", names)
-        if set(names) - set(EXTRAS) or len(set(names)) < len(names):
-            raise ParameterError(f"extra={names!r}: distinct names out of {', '.join(EXTRAS)} are needed")
-
     @classmethod
-    def of_heights(cls, heights: np.ndarray | None, replace_z: bool, extra: Iterable[str] = ()) -> Additions:
-        """With heights above ground f[n], in place of Z or as a column. Raises: ParameterError if they are to replace Z and
-        there are none; InputError for others than finite numbers."""
+    def of_heights(cls, heights: np.ndarray | None, replace_z: bool) -> Additions:
+        """Heights above ground f[n], in place of Z or as a column. Raises: ParameterError if they are to replace Z and there are
+        none; InputError for others than finite numbers."""
         if heights is None:
             if replace_z:
                 raise ParameterError("replace_z=True: there are no heights to put there; pass heights=")
-            return cls(extra)
+            return cls()
         if not np.isfinite(heights := np.asarray(heights)).all():
             raise InputError(f"heights: {heights.size} finite numbers are needed")
-        return cls(extra, z=heights) if replace_z else cls(extra, {HEIGHT: heights})
+        return cls(z=heights) if replace_z else cls({HEIGHT: heights})
+
+
+@dataclasses.dataclass(frozen=True)
+class Replacing:
+    """What an output may replace, as of :func:`jaxfilter.files.disk.new_file`."""
+
+    overwrite: bool = False
+    in_place: bool = False
+    into: Path | None = None
 
 
 def write(
@@ -134,10 +129,26 @@ def write(
     named = Classes(ground_class, other_class, reset, only_ground, noise_class)
     if classes is not None and named != Classes():
         raise ParameterError(f"classes={classes!r}: holds the other settings of classes as well; name them there only")
-    additions = Additions.of_heights(heights, replace_z, extra)
-    return write_cloud(
-        place_of(path), cloud, result, classes or named, additions, overwrite=overwrite, in_place=in_place
-    )
+    added = Additions.of_heights(heights, replace_z)
+    added = dataclasses.replace(added, columns={**_quantities(result, check_extra(extra)), **added.columns})
+    return write_cloud(place_of(path), cloud, result, classes or named, added, Replacing(overwrite, in_place))
+
+
+def check_extra(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of quantities of a result. Raises: ParameterError for those that there are not, or twice."""
+    names = tuple(names)
+    if set(names) - set(EXTRAS) or len(set(names)) < len(names):
+        raise ParameterError(f"extra={names!r}: distinct names out of {', '.join(EXTRAS)} are needed")
+    return names
+
+
+def _quantities(result: FilterResult | np.ndarray | None, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    if names and not isinstance(result, FilterResult):
+        raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
+    found = {name: getattr(result, name) for name in names}
+    if absent := [name for name, values in found.items() if values is None]:
+        raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
+    return found
 
 
 def write_cloud(
@@ -146,12 +157,9 @@ def write_cloud(
     result: FilterResult | np.ndarray | Found | None,
     classes: Classes = Classes(),  # noqa: B008
     additions: Additions = Additions(),
-    *,
-    overwrite: bool = False,
-    in_place: bool = False,
-    into: Path | None = None,
+    replacing: Replacing = Replacing(),
 ) -> Place:
-    """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
+    """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
     if kind not in CLOUD_SUFFIXES:
         known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *TEXT_SUFFIXES))
@@ -163,23 +171,24 @@ def write_cloud(
     if kind in TEXT_SUFFIXES:
         if result is None:
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
-        named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
+        named = [*additions.columns, *(["heights"] if additions.z is not None else [])]
         named += [] if isinstance(source, TextFile) and "classification" in source.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if (octree := copc.is_copc(path)) and isinstance(source, Handle):
+    octree = copc.is_copc(path)
+    if octree and isinstance(source, Handle):
         copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
-    again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as opened:
+    with new_file(path, source=origin, **dataclasses.asdict(replacing)) as temporary:
         if kind in TEXT_SUFFIXES:
-            _write_text(path, temporary, cloud, labels, opened)
-        else:
-            plain = temporary.with_name("plain.las") if octree else temporary
-            with open(plain, "x+b") as file:
-                _write_las(path, file, cloud, labels, opened)
-            if octree:
-                copc.write_octree(plain, temporary)
+            _write_text(path, temporary, cloud, labels)
+            return path
+        plain = temporary.with_name("plain.las") if octree else temporary
+        again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
+        with again as opened, open(plain, "x+b") as file:
+            _write_las(path, file, cloud, labels, opened)
+        if octree:
+            copc.write_octree(plain, temporary)
     return path
 
 
@@ -187,28 +196,21 @@ class _Labels:
     """The outcome of a run as new classes and extra values, for any run of points."""
 
     def __init__(
-        self,
-        cloud: PointCloud,
-        result: FilterResult | np.ndarray | Found | None,
-        classes: Classes,
-        additions: Additions,
+        self, cloud: PointCloud, result: FilterResult | np.ndarray | Found | None, rule: Classes, additions: Additions
     ) -> None:
-        found = result if isinstance(result, FilterResult) else None
         if result is None:
             nothing = np.zeros(len(cloud), np.uint8)
-            self.table, result = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
+            self.table, found = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
         else:
-            self.table = table_of(classes)
-        given = result if isinstance(result, Found) else findings_of(cloud, result, classes)
-        self.rule, self.ground, self.code = classes, given.ground, given.code
-        names = tuple(additions.extra)
-        if found is None and names:
-            raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
-        self.extra: dict[str, np.ndarray] = {name: getattr(found, name) for name in names}
-        if absent := [name for name, values in self.extra.items() if values is None]:
-            raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
-        self.extra |= additions.columns
-        self.z = None if additions.z is None else additions.z.astype(np.float64)
+            found = result if isinstance(result, Found) else findings_of(cloud, result, rule)
+            self.table = table_of(rule)
+        self.rule, self.ground, self.code, self.extra, self.z = (
+            rule,
+            found.ground,
+            found.code,
+            additions.columns,
+            additions.z,
+        )
         for name, values in [*self.extra.items(), *([] if self.z is None else [("heights", self.z)])]:
             if values.shape != self.ground.shape:
                 raise InputError(f"{name}: {len(cloud)} numbers are needed for this cloud, not {list(values.shape)}")
@@ -230,9 +232,8 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     """``opened``: the file that the cloud is of."""
     las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
-    chunks = _fresh_points(path, header, cloud) if las is None or opened is None else las.records(opened)
-    number = header.point_format
-    most = largest(labels.rule)
+    chunks = [_fresh_points(path, header, cloud)] if las is None or opened is None else las.records(opened)
+    number, most = header.point_format, largest(labels.rule)
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
@@ -250,8 +251,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         warn(f"{path}: the input is COPC, the output is plain {'LAZ' if compressed else 'LAS'}, without an octree")
     writer = Writer(file, header, compressed, added, None if las is None else _crs_record(path, header, cloud))
     packed_waves = number in (9, 10) and (compressed or header.compressed)
-    channels: set[int] = set()
-    done = 0
+    channels, done = set(), 0
     for points in chunks:
         rows = slice(done, done := done + len(points))
         if done > len(labels.ground):
@@ -269,7 +269,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             at = slice(dimension.start, dimension.start + dimension.size)
             points.array["ExtraBytes"][:, at] = values.reshape(len(points), dimension.size)
         if labels.z is not None:
-            points.array["Z"] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
+            points.array["Z"] = _ticks(path, header, labels.z[rows, None].astype(np.float64), slice(2, 3))[:, 0]
         writer.write(points, {name: labels.extra[name][rows] for name in added})
     if done < len(labels.ground):
         raise InputError(f"{header.path}: {CHANGED_SINCE}")
@@ -320,54 +320,37 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     return read_header(path, file, identity)
 
 
-def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
+def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Points:
     """Points of format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
     known = {name: values for name in COLUMNS if (values := getattr(cloud, name)) is not None}
     if isinstance(cloud.source, TextFile):
         known = cloud.source.columns | known
-    done = 0
-    for xyz in _runs(cloud, None):
-        rows = slice(done, done := done + len(xyz))
-        points = Points.zeros(len(xyz), laspy.PointFormat(header.point_format))
-        for axis, ticks in zip("XYZ", _ticks(path, header, xyz).T, strict=True):
-            points.array[axis] = ticks
-        points.return_number = points.number_of_returns = np.ones(
-            len(xyz), np.uint8
-        )  # the only echo, where nothing is said
-        for name in COLUMNS & known.keys():
-            points[name][:] = known[name][rows]
-        yield points
+    points = Points.zeros(len(cloud), laspy.PointFormat(header.point_format))
+    for axis, ticks in zip("XYZ", _ticks(path, header, _coordinates(cloud)).T, strict=True):
+        points.array[axis] = ticks
+    points.return_number = points.number_of_returns = np.ones(len(cloud), np.uint8)  # where nothing is said
+    for name in COLUMNS & known.keys():
+        points[name][:] = known[name]
+    return points
 
 
-def _runs(cloud: PointCloud, opened: BinaryIO | None) -> Iterator[np.ndarray]:
-    """The coordinates in file units, f64[k, 3]: of the source file, or else of the cloud."""
-    if isinstance(cloud.source, Handle) and opened is not None:
-        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(opened, CLOUD))
-        return
-    for start in range(0, len(cloud), POINTS_AT_ONCE):
-        rows = slice(start, start + POINTS_AT_ONCE)
-        if isinstance(cloud.source, TextFile):
-            yield cloud.source.xyz[rows]
-        else:
-            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-            yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan)
+def _coordinates(cloud: PointCloud) -> np.ndarray:
+    """f64[n, 3] in file units: of the source file, or else of the cloud, NaN where it has none."""
+    if cloud.source is not None:
+        return np.asarray(cloud.source.coordinates())
+    xyz = cloud.coordinates()
+    return xyz if cloud.valid is None else np.where(cloud.valid[:, None], xyz, np.nan)
 
 
-def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, opened: BinaryIO | None) -> None:
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
     source: Handle | TextFile | None = cloud.source
     if isinstance(source, TextFile):
         source.rewrite(temporary, labels.ground, lambda old: labels.classes(old, slice(None)))
         return
-    with open(temporary, "xb") as file:
-        decimals = 3 if source is None else _decimals(source.header)
-        delimiter = "," if path.suffix.lower() == ".csv" else "\t"
-        if delimiter == ",":
-            file.write(b"x,y,z,label\n")
-        done = 0
-        for xyz in _runs(cloud, opened):
-            rows = slice(done, done := done + len(xyz))
-            table, form = np.column_stack([xyz, ~labels.ground[rows]]), [f"%.{decimals}f"] * 3 + ["%d"]
-            np.savetxt(file, table, form, delimiter)
+    decimals = 3 if source is None else _decimals(source.header)
+    delimiter, header = (",", "x,y,z,label") if path.suffix.lower() == ".csv" else ("\t", "")
+    table, form = np.column_stack([_coordinates(cloud), ~labels.ground]), [f"%.{decimals}f"] * 3 + ["%d"]
+    np.savetxt(temporary, table, form, delimiter, header=header, comments="")
 
 
 def _decimals(header: Header) -> int:

@@ -25,7 +25,7 @@ from ..files.disk import Seal, check_suffix, new_file, seal_file
 from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
 from ..files.vectors import VECTOR_SUFFIXES
-from ..files.writing import LAS_SUFFIXES, write_cloud
+from ..files.writing import LAS_SUFFIXES, Replacing, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import SIDE
@@ -170,7 +170,7 @@ class VerdictProduct(Product):
         label, *_ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0)
-            write_cloud(task.target, cloud, found_in(label), self.classes, **task.how)
+            write_cloud(task.target, cloud, found_in(label), self.classes, replacing=Replacing(**task.how))
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and write the log, which takes its place together with them."""

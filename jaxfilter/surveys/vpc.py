@@ -22,7 +22,8 @@ from ..core.units import WKT, Reference, Stated, Units, reference_of
 from ..files.disk import new_file, opened
 from ..files.guard import reading_errors
 from ..files.points import dimensions_of
-from ..files.sources import FARTHEST, NO_BOUNDS, Source
+from ..files.reading import FARTHEST
+from ..files.sources import NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
 _SCHEMES = ("file", "s3", "gs", "az", "abfs", "http", "https")  # of names: others may do more than fetch a file
