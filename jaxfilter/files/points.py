@@ -94,7 +94,7 @@ def decode(header: Header, file: BinaryIO, runs: Runs, fields: laspy.Decompressi
     records = np.zeros(int(runs.points.sum()) * header.record_length, np.uint8)
     need_threads()
     table = list(zip(runs.points.tolist(), runs.size.tolist(), strict=True))
-    lazrs.decompress_points_with_chunk_table(packed, header.decoder, records, table, fields.to_lazrs())
+    lazrs.decompress_points_with_chunk_table(packed, header.laszip, records, table, fields.to_lazrs())
     return Points.from_buffer(records, format_of(header))
 
 

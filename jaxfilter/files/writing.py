@@ -295,11 +295,11 @@ def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, by
         return None
     if (crs := for_outputs(cloud.crs)) is None:
         return None
-    if header.minor >= 4:
+    if header.version >= 4:
         return WKT, crs.to_wkt("WKT1_GDAL").encode() + b"\0"
     keys = geokeys(crs)
     if keys is None:
-        without = f"its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out"
+        without = f"its CRS has no EPSG code, which LAS 1.{header.version} needs, and is left out"
         warn(f"{path}: {without}: convert the input to LAS 1.4")
     return None if keys is None else (GEOKEYS, keys)
 
