@@ -8,6 +8,7 @@ raises becomes an error that names the file.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import io
 import struct
@@ -102,14 +103,22 @@ def read_header(path: Place, file: BinaryIO, identity: Identity) -> Header:
     head = file.read(offset)
     vlrs = _records(path, io.BytesIO(head), own, records, offset, _VLR, "variable length record")
     header = Header(path, head, identity, vlrs)
-    _check_points(header)
+    number, length, count = header.point_format, header.record_length, header.count
+    if number >= len(RECORD_LENGTHS):
+        raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
+    short = f"point records of {length} bytes are too short for point format {number} ({RECORD_LENGTHS[number]} bytes)"
+    _refuse(path, length < RECORD_LENGTHS[number], short)
+    check_scales(header.scales, header.offsets, str(path))
+    held = _POINTS_PER_BYTE * size if header.compressed else (size - offset) // length
+    _refuse(path, count > held, f"the header announces {count} points, but the file holds {held}")
     start, count = struct.unpack_from("<QI", block, 235) if minor >= 4 else (0, 0)
     if count:
         end = offset if header.compressed else header.points_end
         _refuse(path, start < end, f"extended records begin at byte {start}, before the end of the points ({end})")
         announced = f"the header announces {count} extended records from byte {start}, and has {size} bytes"
         _refuse(path, count * 60 + start > size, announced)
-        header = Header(path, head, identity, vlrs, _records(path, file, start, count, size, _EVLR, "extended record"))
+        evlrs = _records(path, file, start, count, size, _EVLR, "extended record")
+        header = dataclasses.replace(header, evlrs=evlrs)
     if header.extra_dimensions() is None:
         warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are")
     return header
@@ -135,20 +144,6 @@ def _records(
         found.append(record)
         start = record.end
     return tuple(found)
-
-
-def _check_points(header: Header) -> None:
-    path, number, length, count = header.path, header.point_format, header.record_length, header.count
-    if number >= len(RECORD_LENGTHS):
-        raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
-    short = f"point records of {length} bytes are too short for point format {number} ({RECORD_LENGTHS[number]} bytes)"
-    _refuse(path, length < RECORD_LENGTHS[number], short)
-    check_scales(header.scales, header.offsets, str(path))
-    size = header.identity.size
-    held = count if header.compressed else (size - len(header.head)) // length
-    _refuse(path, count > held, f"the header announces {count} points, but the file holds {held}")
-    announced = f"the header announces {count} points"
-    _refuse(path, count > _POINTS_PER_BYTE * size, f"{announced}, too many for {size} bytes")
 
 
 def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
@@ -256,8 +251,8 @@ def _check_sizes(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarra
             counts[there], lengths = stated[:, 0], stated[:, 1:]
             wrong = first + lengths.sum(axis=1) != size
             if not wrong.any():
-                ends, of = (start + first - 2)[:, None] + np.cumsum(lengths, axis=1), np.nonzero(lengths)[0]
-                wrong[of[_unended(header, file, ends[lengths > 0])]] = True
+                ends, chunk = (start + first - 2)[:, None] + np.cumsum(lengths, axis=1), np.nonzero(lengths)[0]
+                wrong[chunk[pieces(header, file, ends[lengths > 0], 2).any(axis=1)]] = True
     number = int(there[wrong.argmax()]) + 1 if wrong.any() else 0
     _refuse(header.path, number, f"compressed chunk {number} of {table.shape[1]} is not as long as its table says")
     return counts
@@ -272,16 +267,11 @@ def pieces(header: Header, file: BinaryIO, starts: np.ndarray, size: int) -> np.
     return found
 
 
-def _unended(header: Header, file: BinaryIO, starts: np.ndarray) -> np.ndarray:
-    """bool[k]: which pairs of bytes are not zero."""
-    return np.asarray(pieces(header, file, starts, 2).any(axis=1))
-
-
 def _wrong_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarray:
     """bool[k]: the chunks of formats 0 to 5 that are not as long as stated. The first is decoded, and each before one whose
     first point lies outside the extent: its points need all its bytes."""
     start, size, held = table
-    wrong = _unended(header, file, np.maximum(0, start + size - 2))
+    wrong = pieces(header, file, np.maximum(0, start + size - 2), 2).any(axis=1)
     if len(start) < 2 or wrong.any():
         return wrong
     ticks = pieces(header, file, start[1:], 12).view("<i4")

@@ -6,8 +6,8 @@ import contextlib
 import dataclasses
 import shutil
 import struct
-from collections.abc import Iterator
-from typing import Any, BinaryIO, TypeAlias
+from collections.abc import Callable, Iterator
+from typing import Any, BinaryIO, TypeAlias, TypeVar
 
 import laspy
 import lazrs
@@ -29,6 +29,7 @@ POINTS_AT_ONCE = 1_000_000
 """Points that are held at a time."""
 _SAME = 1e-5
 """Units, to which coordinates are rounded before they are compared."""
+_T = TypeVar("_T")
 Points: TypeAlias = laspy.PackedPointRecord
 """Records of points as laspy holds them: ``array`` is structured, with the fields of the point format."""
 
@@ -221,8 +222,9 @@ class Handle:
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
         with self.again() as file:
-            parts = [coordinates(points, self.header) for points in self.records(file, CLOUD)]
-            return np.concatenate([np.zeros((0, 3)), *parts])
+            return np.concatenate(
+                [np.zeros((0, 3)), *(coordinates(one, self.header) for one in self.records(file, CLOUD))]
+            )
 
     @contextlib.contextmanager
     def again(self) -> Iterator[BinaryIO]:
@@ -269,13 +271,11 @@ class Writer:
         struct.pack_into("<H2I", self.head, 94, size, start, len(records))
         struct.pack_into("<BH", self.head, 104, number | 0x80 * compressed, length)
         file.write(self.head + b"".join(records))
-        self._ends, self._returns = np.zeros((2, 0, 3), np.int32), np.zeros(15, np.int64)
-        self._count = 0
+        self._ends, self._returns, self._count = np.zeros((2, 0, 3), np.int32), np.zeros(15, np.int64), 0
         self._output, self._coder = _Output(file), None
         if compressed:
             need_threads()
-            with self._output.errors():
-                self._coder = lazrs.ParLasZipCompressor(self._output, lazrs.LazVlr(laszip))
+            self._coder = self._output.encode(lazrs.ParLasZipCompressor, self._output, lazrs.LazVlr(laszip))
 
     def write(self, points: Points, columns: dict[str, np.ndarray]) -> None:
         """Append points, with the dimensions that are added, f32[n] each. Raises: OSError."""
@@ -291,20 +291,17 @@ class Writer:
             data = np.concatenate([data, new], axis=1)
         if self._coder is None:
             self.file.write(data.data)
-            return
-        with self._output.errors():
-            self._coder.compress_many(data.reshape(-1))
+        else:
+            self._output.encode(self._coder.compress_many, data.reshape(-1))
 
     def finish(self, source: BinaryIO | None) -> None:
         """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
         if self._coder is not None:
-            with self._output.errors():
-                self._coder.done()
-        header, head, low, high = self.header, self.head, np.zeros(3), np.zeros(3)
+            self._output.encode(self._coder.done)
+        header, head, ends = self.header, self.head, np.zeros((2, 3))
         if self._count:
-            ticks = self._ends[0].min(axis=0), self._ends[1].max(axis=0)
-            low, high = (one * header.scales + header.offsets for one in ticks)
-        struct.pack_into("<6d", head, 179, *np.stack([high, low], axis=1).reshape(-1))
+            ends = np.stack([self._ends[1].max(axis=0), self._ends[0].min(axis=0)]) * header.scales + header.offsets
+        struct.pack_into("<6d", head, 179, *ends.T.reshape(-1))
         known = header.version < 4 or (header.point_format < 6 and self._count < 2**32)
         struct.pack_into("<6I", head, 107, *(self._count, *self._returns[:5].tolist()) if known else [0] * 6)
         if header.version >= 4:
@@ -339,25 +336,23 @@ def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] 
     """The variable length records of an output, as bytes."""
     kept = [record for record in without_octree(header, header.vlrs) if record.key != LASZIP]
     if extra:
-        known = header.extra_dimensions()
-        if known is None:
+        if (known := header.extra_dimensions()) is None:
             raise OutputError(f"{header.path}: the description of its extra bytes is damaged, so none can be added")
-        first = RECORD_LENGTHS[header.point_format]
-        end = max((one.start + one.size for one in known), default=0)
-        entries = [(f"undescribed {i + 1}", 1, "") for i in range(header.record_length - first - end)]
+        undescribed = header.record_length - RECORD_LENGTHS[header.point_format] - sum(one.size for one in known)
+        entries = [(f"undescribed {i + 1}", 1, "") for i in range(undescribed)]
         entries += [(name, 9, words) for name, words in extra.items()]
         data = [header.head[record.payload : record.end] for record in kept if record.key == EXTRA_BYTES]
         data += [
-            struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), words.encode()) for name, kind, words in entries
+            struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), text.encode()) for name, kind, text in entries
         ]
         if len(described := b"".join(data)) > 65_535:
             raise OutputError(
                 f"{header.path}: its points have too many extra bytes: one record cannot describe more of them"
             )
         yield vlr(*EXTRA_BYTES, described)  # readers look at one record only
-        kept = [record for record in kept if record.key != EXTRA_BYTES]
     for record in kept:
-        yield header.head[record.start : record.end]
+        if not extra or record.key != EXTRA_BYTES:
+            yield header.head[record.start : record.end]
     if crs is not None:
         yield vlr(PROJECTION, *crs)
 
@@ -380,21 +375,18 @@ class _Output:
         self.error: BaseException | None = None
 
     def __getattr__(self, name: str) -> Any:
-        method = getattr(self.file, name)
-
         def call(*arguments: Any) -> Any:
             try:
-                return method(*arguments)
+                return getattr(self.file, name)(*arguments)
             except BaseException as error:  # a full disk, or a signal
                 self.error = error
                 raise
 
         return call
 
-    @contextlib.contextmanager
-    def errors(self) -> Iterator[None]:
-        """A block that encodes: raises what the file raised."""
+    def encode(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        """What a function of the encoder returns. Raises: what the file raised."""
         try:
-            yield
-        except (lazrs.LazrsError, laspy.LaspyException) as error:
+            return function(*arguments)
+        except lazrs.LazrsError as error:
             raise self.error or OSError(str(error)) from error
