@@ -19,7 +19,7 @@ import jaxfilter as jf
 from jaxfilter.cli.commands import main
 from jaxfilter.core.errors import InputError, OutputError
 from jaxfilter.files import disk as files
-from jaxfilter.files import points, reading, runs
+from jaxfilter.files import points, reading
 from jaxfilter.files.disk import new_file
 from jaxfilter.terrain.raster import Raster
 
@@ -93,7 +93,7 @@ def at_call(monkeypatch, owner, name, number, action):
 def in_parts(monkeypatch):
     """Files are read a hundred points at a time."""
     monkeypatch.setattr(points, "POINTS_AT_ONCE", 100)
-    monkeypatch.setattr(runs, "RUN_LENGTH", 100)
+    monkeypatch.setattr(points, "RUN_LENGTH", 100)
 
 
 CHANGES = ("replaced", "shorter", "longer", "cut", "removed")

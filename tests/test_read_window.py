@@ -13,7 +13,7 @@ from las_files import OFFSETS, SCALES, las_of, make_copc, make_deep_copc, make_l
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
-from jaxfilter.files import points, reading, runs
+from jaxfilter.files import points, reading
 from jaxfilter.files.sources import describe_file, file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
 
@@ -65,7 +65,7 @@ def boxes_of(bounds, seed=0, n=6):
 @pytest.mark.parametrize("point_format", [0, 1, 2, 3, 6, 7, 8])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_windows_of_every_point_format(tmp_path, monkeypatch, point_format, suffix):
-    monkeypatch.setattr(runs, "RUN_LENGTH", 100)
+    monkeypatch.setattr(points, "RUN_LENGTH", 100)
     path = tmp_path / f"in{suffix}"
     make_las(path, point_format, n=1500, extra=True)
     source = source_of(path)
@@ -252,7 +252,7 @@ def test_a_file_that_changes_is_refused(tmp_path):
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     """Scan lines of 200,000 points: a hundredth of the area at the end of the file is a few runs of them."""
-    monkeypatch.setattr(runs, "RUN_LENGTH", 1024)
+    monkeypatch.setattr(points, "RUN_LENGTH", 1024)
     path, n = tmp_path / f"in{suffix}", 200_000
     row, column = np.divmod(np.arange(n), 400)
     las_of(path, np.column_stack([X + column / 4, Y + row / 5, np.zeros(n)]), scales=SCALES, offsets=OFFSETS)

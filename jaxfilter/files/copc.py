@@ -15,8 +15,7 @@ from ..core.process import need_threads
 from .disk import opened
 from .guard import laszip_record, read_header
 from .header import HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header
-from .points import vlr
-from .runs import ENTRY
+from .points import ENTRY, vlr
 from .storage import Place
 
 SUFFIX = ".copc.laz"

@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from ..core.errors import InputError, OutputError, warn
 from ..core.reading import Bounds as Bounds
@@ -169,27 +169,27 @@ def new_file(
     with output_errors(path):
         old = existing(path) if isinstance(path, Path) else None
         final = into or (Path(os.path.realpath(path)) if isinstance(path, Path) else None)
-        mine = path == source or (
-            old is not None and isinstance(source, Path) and os.path.samestat(old, os.stat(source))
-        )
-        if into is None and mine and not in_place:
-            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-        if into is None and not mine and not overwrite and is_there(path):
-            raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
-        beside = final and final.parent
+        if into is None:
+            same = old is not None and isinstance(source, Path) and os.path.samestat(old, os.stat(source))
+            mine = same or path == source
+            if mine and not in_place:
+                raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+            if not mine and not overwrite and is_there(path):
+                raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
+            if mine and isinstance(path, Path):
+                warn_of_names(path)
+        beside = None if final is None else final.parent
         if beside is not None:
             remove_dead(beside)
         with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=beside, ignore_cleanup_errors=True) as folder:
             part = Path(folder) / "part"
             yield part
             if final is None or beside is None:
-                path.put(part)  # type: ignore[union-attr]
+                cast(Remote, path).put(part)
                 return
             sync(part)
-            if isinstance(path, Path) and old is not None:
-                if into is None and mine:
-                    warn_of_names(path)
-                shutil.copymode(path, part)
+            if old is not None:
+                shutil.copymode(cast(Path, path), part)
             os.replace(part, final)
             with contextlib.suppress(OSError):  # not every system can
                 sync(beside)

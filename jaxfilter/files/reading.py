@@ -28,13 +28,14 @@ from .points import (
     POINTS_AT_ONCE,
     Handle,
     Points,
+    Runs,
     attributes,
     integers,
     measure,
+    nodes,
     read_points,
     sample_points,
 )
-from .runs import Runs, nodes
 from .storage import Place, Remote, place_of
 from .text import TEXT_SUFFIXES, TextFile, open_text
 from .writing import LAS_SUFFIXES, write
@@ -147,10 +148,7 @@ class LasFile:
     @functools.cached_property
     def runs(self) -> Runs:
         """The runs of its records with the areas that they cover: of LAS and LAZ, by a pass over the file. Raises: InputError."""
-        if not self.header.is_copc:
-            return measure(self.header)[0]
-        with reading_errors(self.header.path), self.header.open() as (file, _):
-            return nodes(self.header, file)
+        return nodes(self.header) if self.header.is_copc else measure(self.header)[0]
 
     @functools.cached_property
     def extent(self) -> np.ndarray:
