@@ -271,7 +271,7 @@ def _wrong_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarr
     """bool[k]: the chunks of formats 0 to 5 that are not as long as stated. The first is decoded, and each before one whose
     first point lies outside the extent: its points need all its bytes."""
     start, size, held = table
-    wrong = pieces(header, file, np.maximum(0, start + size - 2), 2).any(axis=1)
+    wrong = np.asarray(pieces(header, file, np.maximum(0, start + size - 2), 2).any(axis=1))
     if len(start) < 2 or wrong.any():
         return wrong
     ticks = pieces(header, file, start[1:], 12).view("<i4")

@@ -234,7 +234,7 @@ def _split(path: Path, content: bytes) -> _Lines:
     near = [i for i in reversed(head) if head[i].strip()]
     comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))
     above = near[len(comments) :][:1]  # the last line that is none
-    found = []
+    found: list[tuple[int, str | None, list[str], int]] = []
     for delimiter in _DELIMITERS:
         width = len(_cells(first, delimiter))
         for i in above + comments:

@@ -7,7 +7,7 @@ import dataclasses
 import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 import laspy
 import numpy as np
@@ -19,7 +19,7 @@ from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, for_outputs, geokeys
 from . import copc
 from .classes import Classes, Found, asked, findings_of, largest, table_of
-from .disk import CHANGED_SINCE, Identity, new_file
+from .disk import Identity, new_file
 from .guard import read_header
 from .header import FLOATS, Header
 from .points import Handle, Points, Writer, attributes, put_classes
@@ -175,8 +175,7 @@ def write_cloud(
         named += [] if isinstance(source, TextFile) and "classification" in source.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    octree = copc.is_copc(path)
-    if octree and isinstance(source, Handle):
+    if (octree := copc.is_copc(path)) and isinstance(source, Handle):
         copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
     with new_file(path, source=origin, **dataclasses.asdict(replacing)) as temporary:
@@ -198,19 +197,12 @@ class _Labels:
     def __init__(
         self, cloud: PointCloud, result: FilterResult | np.ndarray | Found | None, rule: Classes, additions: Additions
     ) -> None:
+        self.table, self.rule, self.extra, self.z = table_of(rule), rule, additions.columns, additions.z
         if result is None:
             nothing = np.zeros(len(cloud), np.uint8)
-            self.table, found = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
-        else:
-            found = result if isinstance(result, Found) else findings_of(cloud, result, rule)
-            self.table = table_of(rule)
-        self.rule, self.ground, self.code, self.extra, self.z = (
-            rule,
-            found.ground,
-            found.code,
-            additions.columns,
-            additions.z,
-        )
+            self.table, result = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
+        found = result if isinstance(result, Found) else findings_of(cloud, result, rule)
+        self.ground, self.code = found.ground, found.code
         for name, values in [*self.extra.items(), *([] if self.z is None else [("heights", self.z)])]:
             if values.shape != self.ground.shape:
                 raise InputError(f"{name}: {len(cloud)} numbers are needed for this cloud, not {list(values.shape)}")
@@ -232,7 +224,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     """``opened``: the file that the cloud is of."""
     las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
-    chunks = [_fresh_points(path, header, cloud)] if las is None or opened is None else las.records(opened)
+    chunks = [_fresh_points(path, header, cloud)] if las is None else las.records(cast(BinaryIO, opened))
     number, most = header.point_format, largest(labels.rule)
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
@@ -245,17 +237,14 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64: rename them first"
         )
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    octree = copc.is_copc(path)
-    compressed = path.suffix.lower() == ".laz" and not octree
-    if header.is_copc and not octree:
+    compressed = path.suffix.lower() == ".laz" and not copc.is_copc(path)
+    if header.is_copc and not copc.is_copc(path):
         warn(f"{path}: the input is COPC, the output is plain {'LAZ' if compressed else 'LAS'}, without an octree")
     writer = Writer(file, header, compressed, added, None if las is None else _crs_record(path, header, cloud))
     packed_waves = number in (9, 10) and (compressed or header.compressed)
     channels, done = set(), 0
     for points in chunks:
         rows = slice(done, done := done + len(points))
-        if done > len(labels.ground):
-            raise InputError(f"{header.path}: {CHANGED_SINCE}")
         if packed_waves:
             channels |= set(np.unique(points.scanner_channel).tolist())
             if len(channels) > 1:  # lazrs 0.8 mixes up the wave packets of different channels
@@ -271,8 +260,6 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         if labels.z is not None:
             points.array["Z"] = _ticks(path, header, labels.z[rows, None].astype(np.float64), slice(2, 3))[:, 0]
         writer.write(points, {name: labels.extra[name][rows] for name in added})
-    if done < len(labels.ground):
-        raise InputError(f"{header.path}: {CHANGED_SINCE}")
     writer.finish(opened)
 
 
@@ -291,17 +278,16 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
 def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
     """Number and data of the record that states the CRS of a cloud whose file states none: WKT where LAS knows it, and else the
     EPSG codes as GeoTIFF keys."""
-    if cloud.crs is None or any(record.key in STATED for record in (*header.vlrs, *header.evlrs)):
-        return None
-    if (crs := for_outputs(cloud.crs)) is None:
+    crs = None if any(one.key in STATED for one in (*header.vlrs, *header.evlrs)) else for_outputs(cloud.crs)
+    if crs is None:
         return None
     if header.version >= 4:
         return WKT, crs.to_wkt("WKT1_GDAL").encode() + b"\0"
-    keys = geokeys(crs)
-    if keys is None:
+    if (keys := geokeys(crs)) is None:
         without = f"its CRS has no EPSG code, which LAS 1.{header.version} needs, and is left out"
         warn(f"{path}: {without}: convert the input to LAS 1.4")
-    return None if keys is None else (GEOKEYS, keys)
+        return None
+    return GEOKEYS, keys
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
