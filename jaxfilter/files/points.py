@@ -110,10 +110,7 @@ def nodes(header: Header) -> Runs:
     against the cube of its node: a damaged cube would lose points. If a point lies outside, all nodes cover everything,
     with a warning. Raises: InputError if the octree is damaged.
     """
-    at, remote = (
-        header.vlrs[0].payload,
-        isinstance(header.path, Remote),
-    )  # where a look at each chunk is a request of its own
+    at, remote = header.vlrs[0].payload, isinstance(header.path, Remote)  # there each look is a request of its own
     *centre, half, _, page, size = struct.unpack_from("<5d2Q", header.head.ljust(at + 160, b"\0"), at)
     with reading_errors(header.path), header.open() as (file, _):
         entries = np.sort(_entries(header, file, page, size), order=("offset", "size", "points"))
