@@ -55,8 +55,7 @@ def write_octree(plain: Path, target: Path) -> None:
     corner, side, order, keys, counts = _octree(header, points[:, :12].view("<i4"))
     compressor = laszip_record(number, length - RECORD_LENGTHS[number], variable=True)
     head, size = header.head, HEADER_LENGTHS[4]
-    kept = [record for record in header.vlrs if record.key[0] != "copc"]
-    blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in kept)]
+    blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in header.vlrs)]
     front = bytearray(head[:size] + b"".join(blocks) + vlr(*LASZIP, compressor))
     struct.pack_into("<HIIB", front, 94, size, len(front), len(blocks) + 1, 0x80 | number)
     need_threads()
@@ -78,16 +77,15 @@ def write_octree(plain: Path, target: Path) -> None:
         evlrs = file.seek(0, 2)
         file.write(struct.pack("<H16sHQ32s", 0, b"copc", 1000, entries.nbytes, b"COPC hierarchy") + entries.tobytes())
         hierarchy = file.tell() - entries.nbytes
-        kept = [record for record in header.evlrs if record.key[0] != "copc"]
         with header.open() as (source, _):
-            for record in kept:
+            for record in header.evlrs:
                 source.seek(record.start)
                 file.write(source.read(record.end - record.start))
         times = points[:, 22:30].copy().view("<f8") if n else np.zeros(1)
         info = (*(corner + side / 2), side / 2, side / NODE_CELLS, hierarchy, entries.nbytes, times.min(), times.max())
         struct.pack_into("<5d2Q2d", front, size + 54, *info)
         struct.pack_into("<6I", front, 107, *[0] * 6)  # legacy counts
-        struct.pack_into("<2QIQ", front, 227, 0, evlrs, 1 + len(kept), n)
+        struct.pack_into("<2QIQ", front, 227, 0, evlrs, 1 + len(header.evlrs), n)
         file.seek(0)
         file.write(front)
 

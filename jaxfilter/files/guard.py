@@ -181,8 +181,9 @@ def check_chunks(header: Header, file: BinaryIO) -> int:
     _refuse(path, chunks * length > file_size, f"{chunks} compressed chunks cannot fit into {file_size} bytes")
     varying, (_, sizes, held) = compressor.uses_variable_size_chunks(), (table := chunk_table(header, file))
     most = least = int(held.sum())
-    # the last chunk holds anything from one point on, if it is more than the end of a stream
-    if not varying and len(sizes):
+    if not varying and len(
+        sizes
+    ):  # the last one holds anything from one point on, if it is more than the end of a stream
         least += int(sizes[-1] >= length) - int(held[-1])
     _refuse(path, begin + sizes.sum() != start, "the compressed chunks do not end where their table begins")
     largest, memory = min(header.count, int(held.max(initial=0))), psutil.virtual_memory().total
@@ -198,9 +199,9 @@ def check_chunks(header: Header, file: BinaryIO) -> int:
             other = (counts[:full] != held[:full]).any() or (counts[full:] > held[full:]).any()
             _refuse(path, other, "the compressed chunks hold other numbers of points than their table says")
             most = least = int(counts.sum())
+    words = f"but the compressed chunks hold {'' if most == least else 'at most '}{most}"
     other = header.count > most or (header.is_copc and header.count != most)
-    held_words = f"but the compressed chunks hold {'' if most == least else 'at most '}{most}"
-    _refuse(path, other, f"the header announces {header.count} points, {held_words}")
+    _refuse(path, other, f"the header announces {header.count} points, {words}")
     return max(0, least - header.count)
 
 
@@ -213,16 +214,14 @@ def _check_items(header: Header) -> None:
             f"{path}: LAZ without chunks (of LASzip 1, before 2011) cannot be read: compress the file anew, such as with laszip "
             "or laszip64 of LAStools"
         )
-    items, known = list(items_of(laszip)), list(items_of(laszip_record(number, length - RECORD_LENGTHS[number])))
-    same = [item[:2] for item in items] == [item[:2] for item in known]
-    if same and any(kind >= _POINT14 and version == 4 for kind, _, version in items):
+    items = [(kind, size, 1 if (kind, version) == (_WAVES, 2) else version) for kind, size, version in items_of(laszip)]
+    known = list(items_of(laszip_record(number, length - RECORD_LENGTHS[number])))
+    if items != known == [(kind, size, 3 if version == 4 else version) for kind, size, version in items]:
         raise InputError(
             f"{path}: LAZ whose items have version 4 (LASzip of 2026) cannot be read yet: compress the file anew with an older "
             "LASzip, or as LAS"
         )
-    versions = {kind: (1, 2) if kind == _WAVES else (2,) if kind < _POINT14 else (3,) for kind, _, _ in known}
-    same = same and all(version in versions[kind] for kind, _, version in items)
-    other = not same or method == (_LAYERED if number < 6 else _CHUNKED)
+    other = items != known or method != (_CHUNKED if number < 6 else _LAYERED)
     _refuse(path, other, f"the laszip record describes other points than point format {number} of {length} bytes")
 
 

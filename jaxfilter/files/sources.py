@@ -72,9 +72,7 @@ class Source:
         return self.units.xy
 
 
-@functools.lru_cache(maxsize=256)
-def _crs_of(wkt: str) -> pyproj.CRS:
-    return pyproj.CRS.from_wkt(wkt)
+_crs_of = functools.lru_cache(256)(pyproj.CRS.from_wkt)
 
 
 def fingerprint(place: Place) -> str:

@@ -90,20 +90,32 @@ def write_features(
     needed. ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS."""
     import pyogrio
 
-    driver, before = DRIVERS[target.suffix.lower()], pyogrio.get_gdal_config_option(_DATE)
-    options, mode = {"layer": layer} if driver == "GPKG" else {}, "w"
-    with new_file(target, overwrite=overwrite) as temporary, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+    before = pyogrio.get_gdal_config_option(_DATE)
+    with new_file(target, overwrite=overwrite) as temporary:
         named = temporary.with_name(f"list{target.suffix.lower()}")  # GDAL takes its kind from the name
         try:
             pyogrio.set_gdal_config_options({_DATE: "1970-01-01T00:00:00Z"})
-            for table in tables:
+            for number, table in enumerate(tables):
                 table = table.set_crs(for_outputs(table.crs), allow_override=True)
-                try:
-                    table.to_file(named, driver=driver, engine="pyogrio", mode=mode, **options)
-                except Exception as error:
-                    raise OutputError(f"{target}: cannot be written: {error}") from error
-                mode = "a"
+                _append(table, target, named, layer, first=number == 0)
         finally:
             pyogrio.set_gdal_config_options({_DATE: before})
         os.replace(named, temporary)
+
+
+def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: str, first: bool) -> None:
+    import pyogrio
+
+    kind, crs = DRIVERS[target.suffix.lower()], table.crs
+    options = {"layer": layer} if kind == "GPKG" else {}
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+            table.to_file(named, driver=kind, engine="pyogrio", mode="w" if first else "a", **options)
+    except Exception as error:
+        raise OutputError(f"{target}: cannot be written: {error}") from error
+    degrees = kind == "GeoJSON" and (crs is None or pyogrio.read_info(named)["crs"] == "EPSG:4326")
+    if first and (crs is None or degrees):
+        why = "the cloud has no CRS" if crs is None else f"GeoJSON cannot state the CRS {crs.name}, which has no code"
+        also = ", and programs take its coordinates for degrees" * degrees
+        warn(f"{target}: {why}, so the file has none{also}: set the CRS of the layer where it is opened")
