@@ -525,13 +525,6 @@ def test_feet_asked_for(tmp_path):
         read(tmp_path / "in.las", units="yards")
 
 
-def test_anchor(tmp_path):
-    make_las(tmp_path / "in.las")
-    cloud = read(tmp_path / "in.las", anchor=(440000.5, 4750000.0))
-    assert ((cloud.origin[:2] - [440000.5, 4750000.0]) % 1 == 0).all()
-    assert cloud.anchor.tolist() == [440000.5, 4750000.0]
-
-
 # a CRS that the user states for files without one: it decides on units, is written to all outputs, and contradicts nothing
 
 

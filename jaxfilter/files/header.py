@@ -69,14 +69,14 @@ class _Field:
 @dataclasses.dataclass(frozen=True)
 class Header:
     """A header that was checked. ``head`` is the file up to its first point; ``identity`` is that of the file; ``unread`` is the
-    number of compressed points, as far as it is known, that are in the file and not in its count, None before that is checked."""
+    number of compressed points, as far as it is known, that are in the file and not in its count."""
 
     path: Place
     head: bytes
     identity: Identity
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...] = ()
-    unread: int | None = None
+    unread: int = 0
 
     record_length = _Field(105, "H")
     compressed, point_format = _Field(104, "B", mask=0x80), _Field(104, "B", mask=0x3F)

@@ -25,7 +25,7 @@ from ..core.process import need_threads
 from ..core.reading import inside
 from ..core.units import PROJECTION, WKT
 from .disk import CHANGED_SINCE, Bounds, opened
-from .guard import check_chunks, chunk_table, laszip_record, pieces, reading_errors
+from .guard import chunk_table, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
 from .storage import Place, Remote
 
@@ -174,8 +174,6 @@ def read_points(
     """
     source = header.open() if file is None else contextlib.nullcontext((file, header.identity))
     with reading_errors(header.path), source as (file, _):
-        if header.unread is None:
-            check_chunks(header, file)
         if runs is None:
             runs = nodes(header) if header.is_copc and bounds is not None else Runs.of_file(header, file)
         for group in (runs if bounds is None else runs.meeting(bounds)).groups(POINTS_AT_ONCE):

@@ -342,7 +342,7 @@ def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels
 def _decimals(header: Header) -> int:
     """Decimals that show the coordinates of a file: its scales exactly, 12 at most, and no less than 6 for odd offsets."""
     for decimals in range(12):
-        steps, lag = header.scales * 10.0**decimals, header.offsets * 10.0**decimals
-        if np.allclose(steps, np.rint(steps), rtol=1e-9, atol=0) and (np.rint(steps) > 0).all():
-            return decimals if np.allclose(lag, np.rint(lag), rtol=1e-12, atol=1e-6) else max(decimals, 6)
+        if np.allclose(header.scales, header.scales.round(decimals), rtol=1e-9, atol=0):
+            lag = header.offsets - header.offsets.round(decimals)
+            return decimals if (abs(lag) < 1e-6 * 10.0**-decimals).all() else max(decimals, 6)
     return 12
