@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import io
 import struct
-from collections.abc import Callable, Iterator
-from typing import Any, BinaryIO, TypeVar
+from collections.abc import Iterator
+from typing import Any, BinaryIO
 
 import laspy
 import lazrs
@@ -23,7 +22,7 @@ import psutil
 from ..core.errors import InputError, JaxfilterError, warn
 from ..core.frame import check_scales
 from ..core.process import need_threads
-from .disk import Identity, identify
+from .disk import Identity
 from .header import HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record, text_of
 from .storage import Place, Remote
 
@@ -33,7 +32,6 @@ _ITEMS, _ITEM = 34, 6  # where a laszip record lists the parts of a point, and b
 _WAVES, _POINT14 = 9, 10  # kinds of parts: wave packets of formats 4 and 5; the first of those that are layered
 _POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
 
-_T = TypeVar("_T")
 _FAULTS: tuple[tuple[Any, str], ...] = (
     (FileNotFoundError, "no such file"),
     (IsADirectoryError, "is a folder: name one of its files, or open all of them by jaxfilter.open"),
@@ -58,23 +56,6 @@ def reading_errors(path: Place) -> Iterator[None]:
         if words is None:
             raise
         raise InputError(f"{path}: {words.format(getattr(error, 'strerror', None) or error)}") from error
-
-
-def keep_results(most: int) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
-    """A function of a file, whose results for the last files are kept as long as these files stay the same."""
-
-    def decorate(function: Callable[..., _T]) -> Callable[..., _T]:
-        @functools.lru_cache(most)
-        def kept(place: Place, identity: Identity, *options: object) -> _T:
-            return function(place, *options)
-
-        def call(place: Place, *options: object) -> _T:
-            with reading_errors(place):
-                return kept(place, identify(place), *options)
-
-        return call
-
-    return decorate
 
 
 def read_header(path: Place, file: BinaryIO, identity: Identity) -> Header:

@@ -336,9 +336,8 @@ class Handle:
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
         with self.again() as file:
-            return np.concatenate(
-                [np.zeros((0, 3)), *(coordinates(one, self.header) for one in self.records(file, CLOUD))]
-            )
+            parts = [coordinates(points, self.header) for points in self.records(file, CLOUD)]
+            return np.concatenate([np.zeros((0, 3)), *parts])
 
     @contextlib.contextmanager
     def again(self) -> Iterator[BinaryIO]:
@@ -385,7 +384,8 @@ class Writer:
         struct.pack_into("<H2I", self.head, 94, size, start, len(records))
         struct.pack_into("<BH", self.head, 104, number | 0x80 * compressed, length)
         file.write(self.head + b"".join(records))
-        self._ends, self._returns, self._count = np.zeros((2, 0, 3), np.int32), np.zeros(15, np.int64), 0
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._returns, self._count = np.zeros(15, np.int64), 0
         self._output, self._coder = _Output(file), None
         if compressed:
             need_threads()
@@ -396,7 +396,7 @@ class Writer:
         if not len(points):
             return
         ticks = integers(points)
-        self._ends = np.concatenate([self._ends, [[ticks.min(axis=0)], [ticks.max(axis=0)]]], axis=1)
+        self._low, self._high = np.minimum(self._low, ticks.min(axis=0)), np.maximum(self._high, ticks.max(axis=0))
         self._returns += np.bincount(np.asarray(points.return_number), minlength=16)[1:16]
         self._count += len(points)
         data = points.array.view(np.uint8).reshape(len(points), -1)
@@ -412,9 +412,8 @@ class Writer:
         """Complete the points and the header, and append what follows the points of the file ``source``. Raises: OSError."""
         if self._coder is not None:
             self._output.encode(self._coder.done)
-        header, head, ends = self.header, self.head, np.zeros((2, 3))
-        if self._count:
-            ends = np.stack([self._ends[1].max(axis=0), self._ends[0].min(axis=0)]) * header.scales + header.offsets
+        header, head = self.header, self.head
+        ends = np.stack([self._high, self._low]) * header.scales + header.offsets if self._count else np.zeros((2, 3))
         struct.pack_into("<6d", head, 179, *ends.T.reshape(-1))
         known = header.version < 4 or (header.point_format < 6 and self._count < 2**32)
         struct.pack_into("<6I", head, 107, *(self._count, *self._returns[:5].tolist()) if known else [0] * 6)

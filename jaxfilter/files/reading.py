@@ -19,8 +19,8 @@ from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
-from .disk import Bounds, opened
-from .guard import check_chunks, keep_results, read_header, reading_errors
+from .disk import Bounds, identify, opened
+from .guard import check_chunks, read_header, reading_errors
 from .header import Header
 from .points import (
     ALL,
@@ -263,19 +263,21 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         return LasFile(header, reference_of(stated, str(path), wkt), seen, how)
 
 
-_kept_las = keep_results(64)(open_las)
-_kept_text = keep_results(1)(open_text)
-
-
 def open_points(place: Place, reading: Reading) -> LasFile | TextFile:
     """A file of any kind; of text, the points inside ``reading.bounds``. Raises: InputError."""
     return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
 
 
 def kept_file(place: Place, tables: bool = True) -> LasFile | TextFile:
-    """A file of any kind, see :func:`open_las`; those of the last files are kept, since every tile asks for them. Raises:
-    InputError."""
-    return _kept_text(place) if is_text(place) else _kept_las(place, tables)
+    """A file of any kind, see :func:`open_las`. Those of the last files are kept as long as the files stay the same, since every
+    tile asks for them. Raises: InputError."""
+    with reading_errors(place):
+        identity = identify(place)
+        return _kept_text(place, identity) if is_text(place) else _kept_las(place, identity, tables)
+
+
+_kept_text = functools.lru_cache(1)(lambda place, identity: open_text(place))
+_kept_las = functools.lru_cache(64)(lambda place, identity, tables: open_las(place, tables))
 
 
 def warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:
