@@ -32,7 +32,7 @@ def written(tmp_path, number, **how):
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 6, 7, 8])
 def test_every_point_is_found_again(tmp_path, number):
-    plain, path = written(tmp_path, number, n=20_000)
+    plain, path = written(tmp_path, number, n=20_000, version="1.5" if number == 7 else None)
     with CopcReader.open(path) as reader:
         found, header = reader.query(), reader.header
         assert header.point_format.id == (number if number >= 6 else 6 + number // 2)

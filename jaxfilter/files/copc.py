@@ -57,6 +57,7 @@ def write_octree(plain: Path, target: Path) -> None:
     head, size = header.head, HEADER_LENGTHS[4]
     blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in header.vlrs)]
     front = bytearray(head[:size] + b"".join(blocks) + vlr(*LASZIP, compressor))
+    front[25] = 4  # COPC is LAS 1.4
     struct.pack_into("<HIIB", front, 94, size, len(front), len(blocks) + 1, 0x80 | number)
     need_threads()
     with open(target, "x+b") as file:
