@@ -395,8 +395,9 @@ class Writer:
         """Append points, with the dimensions that are added, f32[n] each. Raises: OSError."""
         if not len(points):
             return
-        ticks = integers(points)
-        self._low, self._high = np.minimum(self._low, ticks.min(axis=0)), np.maximum(self._high, ticks.max(axis=0))
+        axes = [points.array[axis] for axis in "XYZ"]
+        self._low = np.minimum(self._low, [ticks.min() for ticks in axes])
+        self._high = np.maximum(self._high, [ticks.max() for ticks in axes])
         self._returns += np.bincount(np.asarray(points.return_number), minlength=16)[1:16]
         self._count += len(points)
         data = points.array.view(np.uint8).reshape(len(points), -1)
