@@ -19,9 +19,9 @@ from .core.errors import InputError
 from .core.inputs import GROUND_CLASS, class_numbers
 from .core.reading import Reading
 from .files.reading import read
+from .files.writing import CLOUD_SUFFIXES
 from .scoring import NEVER_CLASSIFIED
 
-CLOUD_SUFFIXES = (".las", ".laz", ".txt", ".xyz", ".csv")
 HOW_TO_GET = """\
 Data sets lie in the folder that JAXFILTER_DATA names. Those of ISPRS Working Group III/3 (Sithole and Vosselman 2004, ISPRS J.
 Photogramm. Remote Sens. 59, 85-101; the ISPRS benchmark pages distribute them) are isprs/samp11.txt to samp71.txt there (columns

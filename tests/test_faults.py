@@ -19,7 +19,7 @@ import jaxfilter as jf
 from jaxfilter.cli.commands import main
 from jaxfilter.core.errors import InputError, OutputError
 from jaxfilter.files import disk as files
-from jaxfilter.files import points, reading, runs
+from jaxfilter.files import points, reading
 from jaxfilter.files.disk import new_file
 from jaxfilter.terrain.raster import Raster
 
@@ -92,8 +92,8 @@ def at_call(monkeypatch, owner, name, number, action):
 @pytest.fixture
 def in_parts(monkeypatch):
     """Files are read a hundred points at a time."""
-    monkeypatch.setattr(points, "CHUNK", 100)
-    monkeypatch.setattr(runs, "RUN", 100)
+    monkeypatch.setattr(points, "POINTS_AT_ONCE", 100)
+    monkeypatch.setattr(points, "RUN_LENGTH", 100)
 
 
 CHANGES = ("replaced", "shorter", "longer", "cut", "removed")
@@ -105,7 +105,7 @@ CHANGES = ("replaced", "shorter", "longer", "cut", "removed")
 def test_input_that_changes_while_it_is_read(tmp_path, monkeypatch, suffix, how):
     source = make(tmp_path / f"in{suffix}")
     with monkeypatch.context() as patch:
-        place = (files.Identity, "_lost", 0) if suffix == ".xyz" else (reading, "integers", 2 * (suffix == ".las"))
+        place = (files, "identify", 1) if suffix == ".xyz" else (reading, "integers", 2 * (suffix == ".las"))
         at_call(patch, *place, lambda: changed(source, how))
         with pytest.raises(InputError, match=r"in\..*changed while it was read"):
             read(source)

@@ -288,7 +288,7 @@ def test_extra_dimension_of_another_type(tmp_path):
 def test_many_chunks(tmp_path, monkeypatch, suffix):
     las = make_las(tmp_path / f"in{suffix}", 6, n=1000)
     whole = read(tmp_path / f"in{suffix}")
-    monkeypatch.setattr(points, "CHUNK", 33)
+    monkeypatch.setattr(points, "POINTS_AT_ONCE", 33)
     monkeypatch.setattr(frame, "_ROWS", 47)
     cloud = read(tmp_path / f"in{suffix}")
     assert cloud.xyz.tobytes() == whole.xyz.tobytes() and (cloud.candidate == whole.candidate).all()
@@ -303,7 +303,7 @@ def test_many_chunks(tmp_path, monkeypatch, suffix):
 def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
     n = 800_000  # chunks of 50,000 are the least that is read
     make_las(tmp_path / "in.laz", 6, n=n)
-    monkeypatch.setattr(points, "CHUNK", 10_000)
+    monkeypatch.setattr(points, "POINTS_AT_ONCE", 10_000)
     monkeypatch.setattr(frame, "_ROWS", 10_000)
     tracemalloc.start()
     try:
@@ -523,13 +523,6 @@ def test_feet_asked_for(tmp_path):
     np.testing.assert_allclose(np.ptp(cloud.xyz[:, 2]), np.ptp(las.z), atol=1e-3)
     with pytest.raises(InputError, match="units 'yards'"):
         read(tmp_path / "in.las", units="yards")
-
-
-def test_anchor(tmp_path):
-    make_las(tmp_path / "in.las")
-    cloud = read(tmp_path / "in.las", anchor=(440000.5, 4750000.0))
-    assert ((cloud.origin[:2] - [440000.5, 4750000.0]) % 1 == 0).all()
-    assert cloud.anchor.tolist() == [440000.5, 4750000.0]
 
 
 # a CRS that the user states for files without one: it decides on units, is written to all outputs, and contradicts nothing

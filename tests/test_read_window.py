@@ -13,7 +13,7 @@ from las_files import OFFSETS, SCALES, las_of, make_copc, make_deep_copc, make_l
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
-from jaxfilter.files import points, runs, sources
+from jaxfilter.files import points, reading
 from jaxfilter.files.sources import describe_file, file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
 
@@ -65,7 +65,7 @@ def boxes_of(bounds, seed=0, n=6):
 @pytest.mark.parametrize("point_format", [0, 1, 2, 3, 6, 7, 8])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_windows_of_every_point_format(tmp_path, monkeypatch, point_format, suffix):
-    monkeypatch.setattr(runs, "RUN", 100)
+    monkeypatch.setattr(points, "RUN_LENGTH", 100)
     path = tmp_path / f"in{suffix}"
     make_las(path, point_format, n=1500, extra=True)
     source = source_of(path)
@@ -111,7 +111,7 @@ def test_a_whole_file_is_read_once(tmp_path, monkeypatch, name):
     path = tmp_path / name
     make_copc(path) if "copc" in name else make_las(path, 6, n=3000)
     source = source_of(path, units="m")
-    monkeypatch.setattr(sources, "_runs", None)
+    monkeypatch.setattr(reading.LasFile, "runs", None)
     plain = jf.read(path, units="m")
     low, high = np.array(source.bounds[:2]), np.array(source.bounds[2:])
     for box in (None, tuple(np.concatenate([low, high + 0.001]))):
@@ -135,7 +135,7 @@ def test_windows_of_text(tmp_path, monkeypatch):
     assert source.format == "text" and source.count == 500 and source.crs is None
     assert source.bounds == (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
     assert source.z == (xyz[:, 2].min(), xyz[:, 2].max())
-    monkeypatch.setattr("jaxfilter.files.text.open_text", None)
+    monkeypatch.setattr("jaxfilter.files.text._split", None)
     for box in (None, *boxes_of(source.bounds)):
         window, lag = read_window(source, box, reading=Reading(ignore_classes=(3,))), (0 if box is None else 1)
         monkeypatch.undo()
@@ -148,7 +148,7 @@ def test_windows_of_text(tmp_path, monkeypatch):
         assert window.cloud.xyz.tobytes() == cut.xyz.tobytes() and window.cloud.units == cut.units
         np.testing.assert_array_equal(window.cloud.classification, classes[inside])
         np.testing.assert_array_equal(window.cloud.candidate, cut.candidate)
-        monkeypatch.setattr("jaxfilter.files.text.open_text", None)
+        monkeypatch.setattr("jaxfilter.files.text._split", None)
     monkeypatch.undo()
     path.write_text(path.read_text().replace(lines[7], lines[7].replace(f"{xyz[7, 2]:.2f}", "nan")))
     with pytest.raises(jf.InputError, match=r"in\.csv: the file has changed since the collection was opened"):
@@ -201,8 +201,8 @@ def test_feet_and_options_as_in_read(tmp_path):
 @pytest.mark.parametrize("name", ["in.las", "in.laz"])
 def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     """As long as the file is the same."""
-    path, passes, measure = tmp_path / name, [], sources.measure
-    monkeypatch.setattr(sources, "measure", lambda header: passes.append(1) or measure(header))
+    path, passes, measure = tmp_path / name, [], reading.measure
+    monkeypatch.setattr(reading, "measure", lambda header: passes.append(1) or measure(header))
     for seed in (0, 1):
         make_las(path, 6, n=1000, seed=seed)
         for box in ((X, Y, X + 50, Y + 50), (X + 50, Y, X + 80, Y + 50)):
@@ -252,7 +252,7 @@ def test_a_file_that_changes_is_refused(tmp_path):
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     """Scan lines of 200,000 points: a hundredth of the area at the end of the file is a few runs of them."""
-    monkeypatch.setattr(runs, "RUN", 1024)
+    monkeypatch.setattr(points, "RUN_LENGTH", 1024)
     path, n = tmp_path / f"in{suffix}", 200_000
     row, column = np.divmod(np.arange(n), 400)
     las_of(path, np.column_stack([X + column / 4, Y + row / 5, np.zeros(n)]), scales=SCALES, offsets=OFFSETS)

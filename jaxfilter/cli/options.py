@@ -223,9 +223,9 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
 def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
     """As :func:`check_target`, for files of shapes of a run that may go on."""
     for target in filter(None, targets):
-        from ..files.vectors import SUFFIXES
+        from ..files.vectors import VECTOR_SUFFIXES
 
-        check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
+        check_target(target, options["overwrite"] or options["resume"], VECTOR_SUFFIXES, made)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,11 +40,11 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     is a GeoPackage (.gpkg) or GeoJSON (.geojson). Its column verdict is empty: fill it in, in any GIS, and jaxfilter apply
     changes the files. jaxfilter ground IN OUT --review places.gpkg finds places better, since OST knows how sure it is.
     """
-    from ..files.vectors import SUFFIXES
+    from ..files.vectors import VECTOR_SUFFIXES
     from ..reviews.survey import review_survey
     from ..reviews.verdicts import WORDS
 
-    files = open_files(session, names, options, SUFFIXES)
+    files = open_files(session, names, options, VECTOR_SUFFIXES)
     report = files.do(review_survey, files.out, classes)
     area = sum(place["area"] for place in report.places)
     text = f"{files.out}: {count(len(report.places), 'place')} of {area:,.0f} m2 in all; column verdict takes {', '.join(WORDS)}"

@@ -12,7 +12,7 @@ from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.result import FilterResult
 
-NAMES = (
+CLASS_NAMES = (
     "never classified", "unclassified", "ground", "low vegetation", "medium vegetation", "high vegetation", "building",
     "low noise", "model key point", "water", "rail", "road surface", "overlap", "wire guard", "wire conductor",
     "transmission tower", "wire connector", "bridge deck", "high noise", "overhead structure", "ignored ground", "snow",
@@ -190,4 +190,4 @@ def class_changes(
 
 def class_name(number: int) -> str:
     """A class with its name, such as "2 ground"; the number alone where it has none."""
-    return f"{number} {NAMES[number]}" if number < len(NAMES) else str(number)
+    return f"{number} {CLASS_NAMES[number]}" if number < len(CLASS_NAMES) else str(number)

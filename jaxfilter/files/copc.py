@@ -15,14 +15,13 @@ from ..core.process import need_threads
 from .disk import opened
 from .guard import laszip_record, read_header
 from .header import HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header
-from .points import vlr
-from .runs import ENTRY
+from .points import ENTRY, vlr
 from .storage import Place
 
 SUFFIX = ".copc.laz"
 FORMATS = {0: 6, 1: 6, 2: 7, 3: 7, 6: 6, 7: 7, 8: 8}
 """Point formats that can be written, and what they become: COPC holds 6 to 8. The others have waveforms."""
-GRID, LEAF, DEEPEST = 128, 2048, 10
+NODE_CELLS, LEAF_POINTS, DEEPEST_LEVEL = 128, 2048, 10
 """Cells along the side of a node, of which each gives it one point; number of points that stay together; last level."""
 _TOGETHER = 1 << 20  # points that are compressed at a time
 
@@ -43,8 +42,8 @@ def check_format(path: Place, number: int) -> None:
 def write_octree(plain: Path, target: Path) -> None:
     """Make a COPC file of uncompressed LAS, of a point format that :func:`check_format` lets pass.
 
-    Records stay as they are, but for another point format. A node has one point of each of ``GRID`` cells a side, in the order of
-    the file, and its children have the rest, so that a level shows the whole at its spacing. Raises: OSError.
+    Records stay as they are, but for another point format. A node has one point of each of ``NODE_CELLS`` cells a side, in
+    file order, and its children have the rest, so that a level shows the whole at its spacing. Raises: OSError.
     """
     with opened(plain) as (file, identity):
         header = read_header(plain, file, identity)
@@ -56,9 +55,9 @@ def write_octree(plain: Path, target: Path) -> None:
     corner, side, order, keys, counts = _octree(header, points[:, :12].view("<i4"))
     compressor = laszip_record(number, length - RECORD_LENGTHS[number], variable=True)
     head, size = header.head, HEADER_LENGTHS[4]
-    kept = [record for record in header.vlrs if record.key[0] != "copc"]
-    blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in kept)]
+    blocks = [vlr("copc", 1, bytes(160), "COPC info"), *(head[record.start : record.end] for record in header.vlrs)]
     front = bytearray(head[:size] + b"".join(blocks) + vlr(*LASZIP, compressor))
+    front[25] = 4  # COPC is LAS 1.4
     struct.pack_into("<HIIB", front, 94, size, len(front), len(blocks) + 1, 0x80 | number)
     need_threads()
     with open(target, "x+b") as file:
@@ -79,16 +78,15 @@ def write_octree(plain: Path, target: Path) -> None:
         evlrs = file.seek(0, 2)
         file.write(struct.pack("<H16sHQ32s", 0, b"copc", 1000, entries.nbytes, b"COPC hierarchy") + entries.tobytes())
         hierarchy = file.tell() - entries.nbytes
-        kept = [record for record in header.evlrs if record.key[0] != "copc"]
-        with header.open() as source:
-            for record in kept:
+        with header.open() as (source, _):
+            for record in header.evlrs:
                 source.seek(record.start)
                 file.write(source.read(record.end - record.start))
         times = points[:, 22:30].copy().view("<f8") if n else np.zeros(1)
-        info = (*(corner + side / 2), side / 2, side / GRID, hierarchy, entries.nbytes, times.min(), times.max())
+        info = (*(corner + side / 2), side / 2, side / NODE_CELLS, hierarchy, entries.nbytes, times.min(), times.max())
         struct.pack_into("<5d2Q2d", front, size + 54, *info)
         struct.pack_into("<6I", front, 107, *[0] * 6)  # legacy counts
-        struct.pack_into("<2QIQ", front, 227, 0, evlrs, 1 + len(kept), n)
+        struct.pack_into("<2QIQ", front, 227, 0, evlrs, 1 + len(header.evlrs), n)
         file.seek(0)
         file.write(front)
 
@@ -99,14 +97,14 @@ def _octree(header: Header, ticks: np.ndarray) -> tuple[np.ndarray, float, np.nd
     scales, finest = header.scales, float(header.scales.min())
     low = ticks.min(axis=0).astype(np.int64) if len(ticks) else np.zeros(3, np.int64)
     metres = (ticks - low) * scales + finest / 2
-    step = 2**DEEPEST * float(scales.max())
+    step = 2**DEEPEST_LEVEL * float(scales.max())
     side = step * max(1, math.ceil((metres.max(initial=0.0) + finest / 2) / step))
     level, node, rest = np.zeros(len(ticks), np.int8), np.zeros(len(ticks), np.int64), np.arange(len(ticks))
-    for depth in range(DEEPEST + 1):
-        cell = (metres[rest] * (GRID * 2**depth / side)).astype(np.int64)
-        own = _packed(cell // GRID)
+    for depth in range(DEEPEST_LEVEL + 1):
+        cell = (metres[rest] * (NODE_CELLS * 2**depth / side)).astype(np.int64)
+        own = _packed(cell // NODE_CELLS)
         _, which, count = np.unique(own, return_inverse=True, return_counts=True)
-        taken = (count[which] <= LEAF) | (depth == DEEPEST)
+        taken = (count[which] <= LEAF_POINTS) | (depth == DEEPEST_LEVEL)
         taken[np.unique(_packed(cell), return_index=True)[1]] = True
         level[rest[taken]], node[rest[taken]] = depth, own[taken]
         rest = rest[~taken]

@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from ..core.errors import InputError, OutputError, warn
 from ..core.reading import Bounds as Bounds
@@ -39,33 +39,49 @@ class Identity:
     modified: int  # time of the last change, ns
     tag: str = ""  # of remote files, instead of the time: their ETag, or what else tells versions apart
 
-    @classmethod
-    def of(cls, place: int | Place) -> Identity:
-        """Of an open file, by its descriptor, or of the file that has a name now. Raises OSError, InputError."""
-        if isinstance(place, Remote):
-            size, tag = place.status()
-            return cls(0, 0, size, 0, tag)
-        status = os.stat(place)
-        return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
 
-    @contextlib.contextmanager
-    def kept(self, path: Place, message: str) -> Iterator[None]:
-        """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
-        not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
+def identify(place: int | Place) -> Identity:
+    """The identity of an open file, by its descriptor, or of the file that has a name now. Raises OSError, InputError."""
+    if isinstance(place, Remote):
+        size, tag = place.status()
+        return Identity(0, 0, size, 0, tag)
+    status = os.stat(place)
+    return Identity(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+@contextlib.contextmanager
+def opened(
+    place: Place, known: Identity | None = None, changed: str = CHANGED_IN_READING
+) -> Iterator[tuple[BinaryIO, Identity]]:
+    """An open file and its identity.
+
+    Raises: OSError; InputError if it is no regular file; InputError with the words ``changed`` if it is not the ``known`` one,
+    or if, when the block ends or fails, the name is that of another file or the file was changed: what the block then found
+    wrong is not to be believed.
+    """
+    remote = isinstance(place, Remote)
+    with place.open() if isinstance(place, Remote) else open(place, "rb") as file:
+        if not remote and not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            what = "is a pipe or a device, and only regular files are read; save it as a file first"
+            raise InputError(f"{place}: {what}")
+        identity = identify(place if remote else file.fileno())
+        if known is not None and identity != known:
+            raise InputError(f"{place}: {changed}")
         try:
-            yield
+            yield file, identity
         except Exception as error:
-            if self._lost(path):
-                raise InputError(f"{path}: {message}") from error
+            if not _is_still(place, identity):
+                raise InputError(f"{place}: {changed}") from error
             raise
-        if self._lost(path):
-            raise InputError(f"{path}: {message}")
+        if not _is_still(place, identity):
+            raise InputError(f"{place}: {changed}")
 
-    def _lost(self, path: Place) -> bool:
-        try:
-            return Identity.of(path) != self
-        except (OSError, InputError):
-            return True
+
+def _is_still(place: Place, identity: Identity) -> bool:
+    try:
+        return identify(place) == identity
+    except (OSError, InputError):
+        return False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,25 +92,26 @@ class Seal:
     checksum: str  # a hash of them, or the tag of a remote file
     status: Sequence[int]  # of a local file: changes with every change of it; only then the checksum is computed again
 
-    @classmethod
-    def of(cls, place: Place) -> Seal:
-        """Of a file that was just written. Raises OSError, InputError."""
-        if isinstance(place, Remote):
-            return cls(*place.status(), ())
-        size, status = _status(place)
-        with open(place, "rb") as file:
-            return cls(size, hashlib.file_digest(file, "blake2b").hexdigest()[:32], status)
-
     def broken(self, place: Place) -> str | None:
         """In words, what is wrong with the file that has this name now; None if it is the one that was sealed."""
         try:
             if isinstance(place, Path) and _status(place) == (self.size, list(self.status)):
                 return None
-            if (size := Identity.of(place).size) != self.size:
-                return f"has {size:,} bytes instead of {self.size:,}"
-            return None if Seal.of(place).checksum == self.checksum else "was changed"
+            found = seal_file(place)
         except (OSError, InputError):
             return "is missing"
+        if found.size != self.size:
+            return f"has {found.size:,} bytes instead of {self.size:,}"
+        return None if found.checksum == self.checksum else "was changed"
+
+
+def seal_file(place: Place) -> Seal:
+    """The seal of a file that was just written. Raises OSError, InputError."""
+    if isinstance(place, Remote):
+        return Seal(*place.status(), ())
+    size, status = _status(place)
+    with open(place, "rb") as file:
+        return Seal(size, hashlib.file_digest(file, "blake2b").hexdigest()[:32], status)
 
 
 def _status(path: Path) -> tuple[int, list[int]]:
@@ -130,22 +147,6 @@ def is_there(place: Place) -> bool:
 
 
 @contextlib.contextmanager
-def opened(place: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, Identity]]:
-    """An open file and its identity; ``sequential``: it is read from end to end. Raises: InputError, OSError."""
-    if isinstance(place, Remote):
-        identity = Identity.of(place)
-        with place.open(sequential) as file:
-            yield file, identity
-    else:
-        with open(place, "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise InputError(
-                    f"{place}: is a pipe or a device, and only regular files are read; save it as a file first"
-                )
-            yield file, Identity.of(file.fileno())
-
-
-@contextlib.contextmanager
 def new_file(
     path: Place,
     *,
@@ -168,27 +169,27 @@ def new_file(
     with output_errors(path):
         old = existing(path) if isinstance(path, Path) else None
         final = into or (Path(os.path.realpath(path)) if isinstance(path, Path) else None)
-        mine = path == source or (
-            old is not None and isinstance(source, Path) and os.path.samestat(old, os.stat(source))
-        )
-        if into is None and mine and not in_place:
-            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-        if into is None and not mine and not overwrite and is_there(path):
-            raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
-        beside = final and final.parent
+        if into is None:
+            same = old is not None and isinstance(source, Path) and os.path.samestat(old, os.stat(source))
+            mine = same or path == source
+            if mine and not in_place:
+                raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+            if not mine and not overwrite and is_there(path):
+                raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
+            if mine and isinstance(path, Path):
+                warn_of_names(path)
+        beside = None if final is None else final.parent
         if beside is not None:
             remove_dead(beside)
         with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=beside, ignore_cleanup_errors=True) as folder:
             part = Path(folder) / "part"
             yield part
             if final is None or beside is None:
-                path.put(part)  # type: ignore[union-attr]
+                cast(Remote, path).put(part)
                 return
             sync(part)
-            if isinstance(path, Path) and old is not None:
-                if into is None and mine:
-                    warn_of_names(path)
-                shutil.copymode(path, part)
+            if old is not None:
+                shutil.copymode(cast(Path, path), part)
             os.replace(part, final)
             with contextlib.suppress(OSError):  # not every system can
                 sync(beside)

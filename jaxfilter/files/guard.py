@@ -8,6 +8,7 @@ raises becomes an error that names the file.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import struct
 from collections.abc import Iterator
@@ -83,14 +84,22 @@ def read_header(path: Place, file: BinaryIO, identity: Identity) -> Header:
     head = file.read(offset)
     vlrs = _records(path, io.BytesIO(head), own, records, offset, _VLR, "variable length record")
     header = Header(path, head, identity, vlrs)
-    _check_points(header)
+    number, length, count = header.point_format, header.record_length, header.count
+    if number >= len(RECORD_LENGTHS):
+        raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
+    short = f"point records of {length} bytes are too short for point format {number} ({RECORD_LENGTHS[number]} bytes)"
+    _refuse(path, length < RECORD_LENGTHS[number], short)
+    check_scales(header.scales, header.offsets, str(path))
+    held = _POINTS_PER_BYTE * size if header.compressed else (size - offset) // length
+    _refuse(path, count > held, f"the header announces {count} points, but the file holds {held}")
     start, count = struct.unpack_from("<QI", block, 235) if minor >= 4 else (0, 0)
     if count:
         end = offset if header.compressed else header.points_end
         _refuse(path, start < end, f"extended records begin at byte {start}, before the end of the points ({end})")
         announced = f"the header announces {count} extended records from byte {start}, and has {size} bytes"
         _refuse(path, count * 60 + start > size, announced)
-        header = Header(path, head, identity, vlrs, _records(path, file, start, count, size, _EVLR, "extended record"))
+        evlrs = _records(path, file, start, count, size, _EVLR, "extended record")
+        header = dataclasses.replace(header, evlrs=evlrs)
     if header.extra_dimensions() is None:
         warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are")
     return header
@@ -116,20 +125,6 @@ def _records(
         found.append(record)
         start = record.end
     return tuple(found)
-
-
-def _check_points(header: Header) -> None:
-    path, number, length, count = header.path, header.point_format, header.record_length, header.count
-    if number >= len(RECORD_LENGTHS):
-        raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
-    short = f"point records of {length} bytes are too short for point format {number} ({RECORD_LENGTHS[number]} bytes)"
-    _refuse(path, length < RECORD_LENGTHS[number], short)
-    check_scales(header.scales, header.offsets, str(path))
-    size = header.identity.size
-    held = count if header.compressed else (size - len(header.head)) // length
-    _refuse(path, count > held, f"the header announces {count} points, but the file holds {held}")
-    announced = f"the header announces {count} points"
-    _refuse(path, count > _POINTS_PER_BYTE * size, f"{announced}, too many for {size} bytes")
 
 
 def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
@@ -167,8 +162,9 @@ def check_chunks(header: Header, file: BinaryIO) -> int:
     _refuse(path, chunks * length > file_size, f"{chunks} compressed chunks cannot fit into {file_size} bytes")
     varying, (_, sizes, held) = compressor.uses_variable_size_chunks(), (table := chunk_table(header, file))
     most = least = int(held.sum())
-    # the last chunk holds anything from one point on, if it is more than the end of a stream
-    if not varying and len(sizes):
+    if not varying and len(
+        sizes
+    ):  # the last one holds anything from one point on, if it is more than the end of a stream
         least += int(sizes[-1] >= length) - int(held[-1])
     _refuse(path, begin + sizes.sum() != start, "the compressed chunks do not end where their table begins")
     largest, memory = min(header.count, int(held.max(initial=0))), psutil.virtual_memory().total
@@ -184,9 +180,9 @@ def check_chunks(header: Header, file: BinaryIO) -> int:
             other = (counts[:full] != held[:full]).any() or (counts[full:] > held[full:]).any()
             _refuse(path, other, "the compressed chunks hold other numbers of points than their table says")
             most = least = int(counts.sum())
+    words = f"but the compressed chunks hold {'' if most == least else 'at most '}{most}"
     other = header.count > most or (header.is_copc and header.count != most)
-    held_words = f"but the compressed chunks hold {'' if most == least else 'at most '}{most}"
-    _refuse(path, other, f"the header announces {header.count} points, {held_words}")
+    _refuse(path, other, f"the header announces {header.count} points, {words}")
     return max(0, least - header.count)
 
 
@@ -199,16 +195,14 @@ def _check_items(header: Header) -> None:
             f"{path}: LAZ without chunks (of LASzip 1, before 2011) cannot be read: compress the file anew, such as with laszip "
             "or laszip64 of LAStools"
         )
-    items, known = list(items_of(laszip)), list(items_of(laszip_record(number, length - RECORD_LENGTHS[number])))
-    same = [item[:2] for item in items] == [item[:2] for item in known]
-    if same and any(kind >= _POINT14 and version == 4 for kind, _, version in items):
+    items = [(kind, size, 1 if (kind, version) == (_WAVES, 2) else version) for kind, size, version in items_of(laszip)]
+    known = list(items_of(laszip_record(number, length - RECORD_LENGTHS[number])))
+    if items != known == [(kind, size, 3 if version == 4 else version) for kind, size, version in items]:
         raise InputError(
             f"{path}: LAZ whose items have version 4 (LASzip of 2026) cannot be read yet: compress the file anew with an older "
             "LASzip, or as LAS"
         )
-    versions = {kind: (1, 2) if kind == _WAVES else (2,) if kind < _POINT14 else (3,) for kind, _, _ in known}
-    same = same and all(version in versions[kind] for kind, _, version in items)
-    other = not same or method == (_LAYERED if number < 6 else _CHUNKED)
+    other = items != known or method != (_CHUNKED if number < 6 else _LAYERED)
     _refuse(path, other, f"the laszip record describes other points than point format {number} of {length} bytes")
 
 
@@ -237,8 +231,8 @@ def _check_sizes(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarra
             counts[there], lengths = stated[:, 0], stated[:, 1:]
             wrong = first + lengths.sum(axis=1) != size
             if not wrong.any():
-                ends, of = (start + first - 2)[:, None] + np.cumsum(lengths, axis=1), np.nonzero(lengths)[0]
-                wrong[of[_unended(header, file, ends[lengths > 0])]] = True
+                ends, chunk = (start + first - 2)[:, None] + np.cumsum(lengths, axis=1), np.nonzero(lengths)[0]
+                wrong[chunk[pieces(header, file, ends[lengths > 0], 2).any(axis=1)]] = True
     number = int(there[wrong.argmax()]) + 1 if wrong.any() else 0
     _refuse(header.path, number, f"compressed chunk {number} of {table.shape[1]} is not as long as its table says")
     return counts
@@ -253,16 +247,11 @@ def pieces(header: Header, file: BinaryIO, starts: np.ndarray, size: int) -> np.
     return found
 
 
-def _unended(header: Header, file: BinaryIO, starts: np.ndarray) -> np.ndarray:
-    """bool[k]: which pairs of bytes are not zero."""
-    return np.asarray(pieces(header, file, starts, 2).any(axis=1))
-
-
 def _wrong_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarray:
     """bool[k]: the chunks of formats 0 to 5 that are not as long as stated. The first is decoded, and each before one whose
     first point lies outside the extent: its points need all its bytes."""
     start, size, held = table
-    wrong = _unended(header, file, np.maximum(0, start + size - 2))
+    wrong = np.asarray(pieces(header, file, np.maximum(0, start + size - 2), 2).any(axis=1))
     if len(start) < 2 or wrong.any():
         return wrong
     ticks = pieces(header, file, start[1:], 12).view("<i4")

@@ -13,12 +13,12 @@ import functools
 import hashlib
 import struct
 from collections.abc import Iterator
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from ..core.errors import InputError
-from .disk import CHANGED_IN_READING, Identity, opened
+from .disk import Identity, opened
 from .storage import Place
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -35,8 +35,7 @@ _EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
 _COMPATIBLE = ("lascompatible", 22204)
 
 
-@dataclasses.dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """A variable length record: its user and number, where it begins and ends in the file, and where its data begin."""
 
     key: tuple[str, int]
@@ -45,8 +44,7 @@ class Record:
     end: int
 
 
-@dataclasses.dataclass(frozen=True)
-class ExtraDimension:
+class ExtraDimension(NamedTuple):
     """A described part of the extra bytes: ``start`` counts from the first of them."""
 
     name: str
@@ -58,51 +56,46 @@ class ExtraDimension:
 class _Field:
     """A number of the public header block, some bits of it, or several as f64; 0 where its LAS version has none."""
 
-    def __init__(self, at: int, layout: str, minor: int = 0, mask: int | None = None) -> None:
-        self.at, self.layout, self.minor, self.mask = at, layout, minor, mask
+    def __init__(self, at: int, layout: str, version: int = 0, mask: int | None = None) -> None:
+        self.at, self.layout, self.version, self.mask = at, f"<{layout}", version, mask
 
     def __get__(self, header: Header, kind: type[Header]) -> Any:
-        if header.minor < self.minor:
-            return 0
-        found = struct.unpack_from("<" + self.layout, header.head, self.at)
+        if header.version < self.version or header.size < self.at + struct.calcsize(self.layout):
+            return 0  # LAS 1.3 may come with the header of LAS 1.2
+        found = struct.unpack_from(self.layout, header.head, self.at)
         return np.array(found) if len(found) > 1 else found[0] if self.mask is None else found[0] & self.mask
 
 
 @dataclasses.dataclass(frozen=True)
 class Header:
     """A header that was checked. ``head`` is the file up to its first point; ``identity`` is that of the file; ``unread`` is the
-    number of compressed points, as far as it is known, that are in the file and not in its count, None before that is checked."""
+    number of compressed points, as far as it is known, that are in the file and not in its count."""
 
     path: Place
     head: bytes
     identity: Identity
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...] = ()
-    unread: int | None = None
+    unread: int = 0
 
-    size, record_length = _Field(94, "H"), _Field(105, "H")
+    record_length = _Field(105, "H")
     compressed, point_format = _Field(104, "B", mask=0x80), _Field(104, "B", mask=0x3F)
     scales, offsets, waveform_start = _Field(131, "3d"), _Field(155, "3d"), _Field(227, "Q", 3)
     legacy_count, full_count, evlr_start = _Field(107, "I"), _Field(247, "Q", 4), _Field(235, "Q", 4)
 
-    @contextlib.contextmanager
-    def open(self) -> Iterator[BinaryIO]:
-        """The file that the header is of. Raises: InputError if the name is another file's by now, OSError."""
-        with opened(self.path) as (file, identity):
-            if identity != self.identity:
-                raise InputError(f"{self.path}: {CHANGED_IN_READING}")
-            yield file
+    def open(self) -> contextlib.AbstractContextManager[tuple[BinaryIO, Identity]]:
+        """The file that the header is of, see :func:`jaxfilter.files.disk.opened`."""
+        return opened(self.path, self.identity)
 
     @property
     def version(self) -> int:
-        """Minor version of LAS, as the header states it."""
+        """Minor version of LAS."""
         return self.head[25]
 
     @property
-    def minor(self) -> int:
-        """Minor version whose fields the header has: LAS 1.3 may come with the header of LAS 1.2, of 227 bytes."""
-        short = struct.unpack_from("<H", self.head, 94)[0] < HEADER_LENGTHS[3]
-        return 2 if self.version == 3 and short else self.version
+    def size(self) -> int:
+        """Bytes of the public header block, what a producer has put behind it included."""
+        return int.from_bytes(self.head[94:96], "little")
 
     @property
     def count(self) -> int:
@@ -119,9 +112,9 @@ class Header:
     def date(self) -> str | None:
         """Day on which the file was made, ISO 8601; None if the header states none that can be."""
         day, year = struct.unpack_from("<2H", self.head, 90)
-        if not (1 <= day <= 366 and 1900 <= year <= 2999):
-            return None
-        return (datetime.date(year, 1, 1) + datetime.timedelta(day - 1)).isoformat()
+        with contextlib.suppress(ValueError):
+            return datetime.datetime.strptime(f"{year:04} {day}", "%Y %j").date().isoformat() if year >= 1900 else None
+        return None
 
     @property
     def fingerprint(self) -> str:
@@ -157,19 +150,10 @@ class Header:
                 return self.head[record.payload : record.end]
         raise InputError(f"{self.path}: points are compressed, but the laszip record is missing; the file is damaged")
 
-    @property
-    def decoder(self) -> bytes:
-        """``laszip`` with chunks not larger than all the points: a decoder takes memory for a whole chunk."""
-        data = bytearray(self.laszip)
-        chunk = struct.unpack_from("<I", data, 12)[0]
-        if self.count < chunk < 2**32 - 1:  # the largest number stands for chunks of several sizes
-            struct.pack_into("<I", data, 12, max(self.count, 1))
-        return bytes(data)
-
     def remarks(self) -> Iterator[str]:
         """What the header says of the number of points that contradicts itself or the file."""
         full, legacy, said = self.full_count, self.legacy_count, f"the header announces {self.count} points"
-        if self.minor >= 4 and legacy and full != legacy:
+        if self.version >= 4 and legacy and full != legacy:
             yield f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read"
         layout, at = ("<15Q", 255) if full else ("<5I", 111)
         returns = sum(struct.unpack_from(layout, self.head, at))

@@ -12,31 +12,32 @@ import numpy as np
 from laspy import DecompressionSelection
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
-from ..core.echoes import Numbering, numbering
+from ..core.echoes import Numbering, numbering, sample
 from ..core.errors import InputError, warn
 from ..core.inputs import COLUMN_TYPES, is_laspy
 from ..core.reading import Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import CRS_RECORDS, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
-from .disk import CHANGED_IN_READING, Bounds, Identity, opened
+from .disk import Bounds, identify, opened
 from .guard import check_chunks, read_header, reading_errors
 from .header import Header
 from .points import (
     ALL,
-    CHUNK,
     CLOUD,
+    POINTS_AT_ONCE,
     Handle,
     Points,
+    Runs,
     attributes,
     integers,
+    measure,
+    nodes,
     read_points,
-    sampled_extent,
-    sampled_points,
+    sample_points,
 )
-from .runs import Runs
 from .storage import Place, Remote, place_of
-from .text import SUFFIXES, TextFile, open_text
+from .text import TEXT_SUFFIXES, TextFile, open_text
 from .writing import LAS_SUFFIXES, write
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
-_FILES = 64  # whose headers a process keeps
+FARTHEST = 1e12
+"""Units from zero that no coordinate reaches: the Earth in millimetres is smaller."""
 
 
 def read(
@@ -118,14 +120,14 @@ def is_text(path: Place) -> bool:
     suffix = path.suffix.lower()
     if suffix in LAS_SUFFIXES:
         return False
-    if isinstance(path, Remote) and suffix in SUFFIXES:
+    if isinstance(path, Remote) and suffix in TEXT_SUFFIXES:
         raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     with reading_errors(path), opened(path) as (file, _):
         if file.read(4) == b"LASF":
             return False
-    if suffix in SUFFIXES:
+    if suffix in TEXT_SUFFIXES:
         return True
-    raise InputError(f"{path}: neither LAS nor one of {', '.join(SUFFIXES)}; give text one of these suffixes")
+    raise InputError(f"{path}: neither LAS nor one of {', '.join(TEXT_SUFFIXES)}; give text one of these suffixes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,8 +137,48 @@ class LasFile:
 
     header: Header
     reference: Reference
-    extent: np.ndarray | None = None
+    seen: np.ndarray | None = None
     numbering: Numbering = Numbering.SOUND
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the file, see ``Header.fingerprint``."""
+        return self.header.fingerprint
+
+    @functools.cached_property
+    def runs(self) -> Runs:
+        """The runs of its records with the areas that they cover: of LAS and LAZ, by a pass over the file. Raises: InputError."""
+        return nodes(self.header) if self.header.is_copc else measure(self.header)[0]
+
+    @functools.cached_property
+    def extent(self) -> np.ndarray:
+        """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show
+        that this cannot be; then those of the points. Raises: InputError if these are too far away. Warns: if the header is
+        wrong."""
+        header, (low, high) = self.header, self.header.extent
+        stated = np.stack([low, high])
+        sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
+        if not header.count or (sane and self.seen is None):
+            return stated
+        seen = self.seen if self.seen is not None else open_las(header.path).seen
+        assert seen is not None
+        slack, small = 2 * header.scales, len(sample(header.count)) == 1
+        if sane and not small:
+            reached = (high - low <= 2 * (seen[1] - seen[0]) + slack)[:2].all()  # some points do not reach the edges
+            if reached and (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all():
+                return stated
+        found = seen if small else measure(header)[1]
+        if (far := abs(found) >= FARTHEST).any():
+            axis = int(far.any(axis=0).argmax())
+            words = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
+            raise InputError(f"{header.path}: {words}: correct scale and offset in its header")
+        margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
+        if not ((abs(stated - found) <= margin).all() and (low <= found[0] + slack).all()):
+            words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in (stated, np.round(found, 3)))
+            warn(
+                f"{header.path}: its header states the extent {words}, but its points lie in {true}: their extent is used"
+            )
+        return found
 
     def cloud(
         self,
@@ -166,15 +208,14 @@ class LasFile:
         with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
             columns: dict[str, Any] = {name: np.empty(most, COLUMN_TYPES[name]) for name in named}
-        with header.identity.kept(path, CHANGED_IN_READING):
-            for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
-                progress(min(1.0, number * CHUNK / max(header.count, 1)), "read")
-                rows = slice(n, n + len(points))
-                ticks[rows] = integers(points)
-                for name, values in attributes(points, header).items():
-                    columns[name][rows] = values
-                note(points, record)
-                n = rows.stop
+        for number, (points, record) in enumerate(read_points(header, cut, ALL if header.upper else fields, runs)):
+            progress(min(1.0, number * POINTS_AT_ONCE / max(header.count, 1)), "read")
+            rows = slice(n, n + len(points))
+            ticks[rows] = integers(points)
+            for name, values in attributes(points, header).items():
+                columns[name][rows] = values
+            note(points, record)
+            n = rows.stop
         if n < most:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
         stated = reference.units is not None or cut is not None
@@ -203,12 +244,11 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
     """
     with reading_errors(path):
         with opened(path) as (file, identity):
-            header, extent, how = read_header(path, file, identity), None, Numbering.SOUND
+            header, seen, how = read_header(path, file, identity), None, Numbering.SOUND
             if tables:
                 header = dataclasses.replace(header, unread=check_chunks(header, file))
                 if header.count:
-                    some = sampled_points(header, file)
-                    extent = sampled_extent(header, file, some)
+                    some, seen = sample_points(header, file)
                     time = some.gps_time if "gps_time" in some.array.dtype.names else None
                     how = numbering(attributes(some, header), some.Z, time)
             stated = {}
@@ -220,24 +260,24 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         for remark in header.remarks():
             warn(f"{path}: {remark}")
         wkt = header.point_format >= 6 or bool(header.head[6] & 16)  # of the global encoding
-        return LasFile(header, reference_of(stated, str(path), wkt), extent, how)
-
-
-def kept_las(path: Place, tables: bool = False) -> LasFile:
-    """:func:`open_las`. Those of the last files are kept as long as the files stay the same, since every tile asks for them."""
-    with reading_errors(path):
-        return _kept_las(path, Identity.of(path), tables)
-
-
-@functools.lru_cache(_FILES)
-def _kept_las(path: Place, identity: Identity, tables: bool) -> LasFile:
-    """``identity`` is that of the file now."""
-    return open_las(path, tables)
+        return LasFile(header, reference_of(stated, str(path), wkt), seen, how)
 
 
 def open_points(place: Place, reading: Reading) -> LasFile | TextFile:
     """A file of any kind; of text, the points inside ``reading.bounds``. Raises: InputError."""
     return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
+
+
+def kept_file(place: Place, tables: bool = True) -> LasFile | TextFile:
+    """A file of any kind, see :func:`open_las`. Those of the last files are kept as long as the files stay the same, since every
+    tile asks for them. Raises: InputError."""
+    with reading_errors(place):
+        identity = identify(place)
+        return _kept_text(place, identity) if is_text(place) else _kept_las(place, identity, tables)
+
+
+_kept_text = functools.lru_cache(1)(lambda place, identity: open_text(place))
+_kept_las = functools.lru_cache(64)(lambda place, identity, tables: open_las(place, tables))
 
 
 def warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:

@@ -8,30 +8,24 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pyproj
 
 from ..core.cloud import PointCloud
-from ..core.echoes import sample
-from ..core.errors import InputError, warn
+from ..core.errors import InputError
 from ..core.frame import ends
 from ..core.reading import Reading
 from ..core.units import NAMED_UNITS, NOTHING, Reference, Stated, Units, not_metric, sampled
-from .disk import Bounds, Identity
-from .guard import reading_errors
-from .header import Header
-from .points import ALL, CLOUD, Handle, Points, echo_keys, every_xy, measure, spread_points
-from .reading import LasFile, is_text, kept_las
-from .runs import Runs, nodes
+from .disk import Bounds
+from .points import ALL, CLOUD, Handle, Points, coordinates, echo_keys, first_points, read_points
+from .reading import LasFile, kept_file
 from .storage import Place, Remote, place_of
-from .text import TextFile, kept_text, open_text
+from .text import TextFile, open_text
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""
-_FILES = 64  # whose runs a process keeps
 WHOLE = 8_000_000
 """Points that are held in memory at once: data of so many or fewer are one tile."""
 SQUARE = 64.0
@@ -41,7 +35,6 @@ _WIDE, _FEW, _FILLED = 1000.0, 16, 0.6
 the extent that have a sample if the points fill it."""
 Squares = tuple[np.ndarray, np.ndarray]
 """i64[m, 2], column and row of squares that hold points, counted from zero of the coordinates; i64[m], how many points."""
-FARTHEST = 1e12  # units from zero that no coordinate reaches: the Earth in millimetres is smaller
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -89,14 +82,12 @@ class Source:
         return self.units.xy
 
 
-@functools.lru_cache(maxsize=256)
-def _crs_of(wkt: str) -> pyproj.CRS:
-    return pyproj.CRS.from_wkt(wkt)
+_crs_of = functools.lru_cache(256)(pyproj.CRS.from_wkt)
 
 
 def fingerprint(place: Place) -> str:
     """What :attr:`Source.identity` of this file is now. Raises: InputError."""
-    return kept_text(cast(Path, place)).fingerprint if is_text(place) else kept_las(place).header.fingerprint
+    return kept_file(place, False).fingerprint
 
 
 def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) -> Source:
@@ -108,21 +99,16 @@ def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) 
     states another CRS. Warns: of a wrong extent.
     """
     facts: dict[str, Any]
-    if is_text(place):
-        file, reference = kept_text(cast(Path, place)), Reference()
-        xyz, count = file.xyz[np.isfinite(file.xyz).all(axis=1)], len(file.xyz)
+    file = kept_file(place, points)
+    if isinstance(file, TextFile):
+        xyz, count, reference = file.xyz[np.isfinite(file.xyz).all(axis=1)], file.points, Reference()
         extent, some = np.stack(ends(xyz)) if len(xyz) else np.full((2, 3), math.nan), xyz[sampled(len(xyz))]
-        facts = {"format": "text", "identity": file.fingerprint}
+        facts = {"format": "text"}
     else:
-        las = kept_las(place, points)
-        header, reference, count = las.header, las.reference, las.header.count
-        extent = some = _extent_of(las)
-        facts = {
-            "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
-            "point_format": header.point_format,
-            "date": header.date,
-            "identity": header.fingerprint,
-        }
+        header, reference, count = file.header, file.reference, file.header.count
+        extent = some = file.extent
+        kind = "copc" if header.is_copc else "laz" if header.compressed else "las"
+        facts = {"format": kind, "point_format": header.point_format, "date": header.date}
     reference = stated.of(reference, str(place))
     if reference.problem is not None:
         raise InputError(f"{place}: {reference.problem}, or pass units= if the CRS record is wrong")
@@ -131,7 +117,7 @@ def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) 
     (x0, y0, z0), (x1, y1, z1) = (extent if count else np.full((2, 3), math.nan)).tolist()
     facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": reference.units or Units()}
     facts["wkt"] = None if reference.crs is None else reference.crs.to_wkt()
-    return Source(str(place), count=count, **facts)
+    return Source(str(place), count=count, identity=file.fingerprint, **facts)
 
 
 def with_true_extent(source: Source) -> Source:
@@ -140,7 +126,7 @@ def with_true_extent(source: Source) -> Source:
     if source.format == "text" or not source.identity or not source.count or isinstance(source.place, Remote):
         return source
     with contextlib.suppress(InputError):  # a damaged file is named when its points are read
-        (x0, y0, z0), (x1, y1, z1) = _extent_of(kept_las(source.place, True)).tolist()
+        (x0, y0, z0), (x1, y1, z1) = cast(LasFile, kept_file(source.place)).extent.tolist()
         return dataclasses.replace(source, bounds=(x0, y0, x1, y1), z=(z0, z1))
     return source
 
@@ -151,21 +137,20 @@ def squares_of(source: Source) -> Squares | None:
     x0, y0, x1, y1 = source.bounds
     if not source.count or max(x1 - x0, y1 - y0) * source.metre <= _WIDE:
         return None
+    if not source.identity or isinstance(source.place, Remote):
+        return None
     with contextlib.suppress(InputError):
-        if source.format == "text":
-            return counted_squares([kept_text(cast(Path, source.place)).xyz[:, :2]], SQUARE / source.metre)
-        if not source.identity or isinstance(source.place, Remote):
-            return None
-        header = kept_las(source.place, tables=True).header
-        _check_identity(source, header)
-        with reading_errors(source.place), header.open() as file:
-            some = spread_points(header, file)[:, :2]
-            parts = min(16, math.isqrt(len(some) // 4))
-            if len(some) > _FEW:
-                part = np.clip((some - [x0, y0]) * parts / [x1 - x0, y1 - y0], 0, parts - 1).astype(int)
-                if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
-                    return None
-            return counted_squares(every_xy(header, file), SQUARE / source.metre)
+        file, side = _file_of(source), SQUARE / source.metre
+        if isinstance(file, TextFile):
+            return counted_squares([file.xyz[:, :2]], side)
+        some = first_points(file.header)
+        parts = min(16, math.isqrt(len(some) // 4))
+        if len(some) > _FEW:
+            part = np.clip((some - [x0, y0]) * parts / [x1 - x0, y1 - y0], 0, parts - 1).astype(int)
+            if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
+                return None
+        every = (coordinates(points, file.header, 2) for points, _ in read_points(file.header, fields=CLOUD))
+        return counted_squares(every, side)
     return None
 
 
@@ -191,40 +176,6 @@ def square_keys(square: np.ndarray) -> np.ndarray:
     if wide * tall >= 2**62:
         raise InputError("points are too far from each other: remove stray points far from the rest")
     return (square - low) @ np.array([1, wide])
-
-
-def _extent_of(las: LasFile) -> np.ndarray:
-    """Lowest and highest x, y, z, f64[2, 3]: as the header states them, unless all points are known, or some of them show that
-    this cannot be; then those of the points. Warns: if the header is wrong."""
-    header = las.header
-    low, high = stated = np.stack(header.extent)
-    sane = (abs(stated) < FARTHEST).all() and (low <= high).all() and ((low < high)[:2].any() or header.count == 1)
-    if not header.count or (sane and las.extent is None):
-        return stated
-    return _true_extent(header.path, header.identity, bool(sane))
-
-
-@functools.lru_cache(256)
-def _true_extent(place: Place, identity: Identity, sane: bool) -> np.ndarray:
-    """:func:`_extent_of` a file with this identity now; ``sane``: what its header states could be."""
-    las = kept_las(place, True)
-    header, (low, high) = las.header, las.header.extent
-    seen, slack, small = las.extent, 2 * header.scales, len(sample(header.count)) == 1
-    assert seen is not None
-    if sane and not small:
-        reached = (high - low <= 2 * (seen[1] - seen[0]) + slack)[:2].all()  # some points do not reach the edges
-        if reached and (low <= seen[0] + slack).all() and (seen[1] <= high + slack).all():
-            return np.stack([low, high])
-    found = seen if small else measure(header)[1]
-    if (far := abs(found) >= FARTHEST).any():
-        axis = int(far.any(axis=0).argmax())
-        words = f"{'XYZ'[axis]} reaches {found[:, axis][far[:, axis]][0]:g}, which no coordinate does"
-        raise InputError(f"{header.path}: {words}: correct scale and offset in its header")
-    margin = 0.02 * (found[1] - found[0]) + slack  # some producers state the edges of the tile
-    if not ((abs(np.stack([low, high]) - found) <= margin).all() and (low <= found[0] + slack).all()):
-        words, true = (f"{one[0].tolist()} to {one[1].tolist()}" for one in ((low, high), np.round(found, 3)))
-        warn(f"{header.path}: its header states the extent {words}, but its points lie in {true}: their extent is used")
-    return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,23 +216,23 @@ def read_window(
     Returns: Window; a cloud of no points where there are none.
     Raises: InputError naming the file, if it is gone, damaged, or has changed since ``source`` was made.
     """
-    reading, place = dataclasses.replace(reading, bounds=box, units=source.units), source.place
-    cut = reading.bounds
-    if source.format == "text":
-        return _text_window(source, reading)
-    file = kept_las(place, tables=True)
-    _check_identity(source, file.header)
+    reading = dataclasses.replace(reading, bounds=box, units=source.units)
+    file, cut = _file_of(source), reading.bounds
+    if isinstance(file, TextFile):
+        if not reading.drop_invalid and not np.isfinite(file.xyz).all():
+            open_text(file.path, cut, drop_invalid=False)  # which names the line
+        part = file.within(cut)
+        return Window(part.cloud(reading), np.flatnonzero(part.rows))
     x0, y0, x1, y1 = source.bounds
     whole = cut is None or not source.count or (cut[0] <= x0 and cut[1] <= y0 and x1 < cut[2] and y1 < cut[3])
-    runs = None if whole else _runs(place, file.header.identity)
-    record, key = [np.zeros(0, np.int64)], [np.zeros(0, np.uint64)]
+    header, record, key = file.header, [np.zeros(0, np.int64)], [np.zeros(0, np.uint64)]
 
     def note(points: Points, numbers: np.ndarray) -> None:
         record.append(numbers)
         if keys:
-            key.append(echo_keys(points, file.header))
+            key.append(echo_keys(points, header))
 
-    cloud = file.cloud(reading, runs=runs, fields=ALL if keys else CLOUD, note=note)
+    cloud = file.cloud(reading, runs=None if whole else file.runs, fields=ALL if keys else CLOUD, note=note)
     return Window(cloud, np.concatenate(record), np.concatenate(key) if keys else None)
 
 
@@ -296,40 +247,19 @@ def file_cloud(
 
     Raises: InputError if the file has changed since the source was made.
     """
-    handle: Handle | TextFile
-    if source.format == "text":
-        handle = kept_text(cast(Path, source.place)).within(bounds)
-        _check_identity(source, handle)
-    else:
-        header = kept_las(source.place, tables=True).header
-        _check_identity(source, header)
-        handle = Handle(header, len(candidate), bounds, rows)
+    file = _file_of(source)
+    handle = file.within(bounds) if isinstance(file, TextFile) else Handle(file.header, len(candidate), bounds, rows)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)
 
 
-def _check_identity(source: Source, file: Header | TextFile) -> None:
-    """Raises: InputError if a file has changed, or has another number of points than a .vpc says, which knows no more of it."""
+def _file_of(source: Source) -> LasFile | TextFile:
+    """Raises: InputError if the file has changed, or has another number of points than a .vpc says, which knows no more of it."""
+    file = kept_file(source.place)
     if source.identity and file.fingerprint != source.identity:
         raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
-    if not source.identity and isinstance(file, Header) and file.count != source.count:
-        said = f"holds {file.count:,} points, and the .vpc that names it says {source.count:,}"
+    if not source.identity and isinstance(file, LasFile) and file.header.count != source.count:
+        said = f"holds {file.header.count:,} points, and the .vpc that names it says {source.count:,}"
         raise InputError(f"{source.uri}: {said}: make the .vpc anew, such as with jaxfilter info --vpc")
-
-
-def _text_window(source: Source, reading: Reading) -> Window:
-    file, cut = kept_text(cast(Path, source.place)), reading.bounds
-    _check_identity(source, file)
-    if not reading.drop_invalid and not np.isfinite(file.xyz).all():
-        open_text(file.path, cut, drop_invalid=False)  # which names the line
-    part = file.within(cut)
-    return Window(part.cloud(reading), np.flatnonzero(part.rows))
-
-
-@functools.lru_cache(_FILES)
-def _runs(place: Place, identity: Identity) -> Runs:
-    """``identity`` is that of the file now."""
-    header = kept_las(place, tables=True).header
-    with reading_errors(place), header.open() as file:
-        return nodes(header, file) if header.is_copc else measure(header)[0]
+    return file

@@ -21,10 +21,8 @@ from ..core.errors import InputError, JaxfilterError, OutputError
 WAITS = (0.25, 0.5, 1.0, 2.0)
 """Seconds before each further attempt of a request that has failed."""
 
-_SMALL, _LARGE = 1 << 16, 8 << 20  # bytes read ahead: of headers and chunks, and of files that are read from end to end
-_LASTING = (
-    PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, ImportError, TypeError, ValueError
-)  # fmt: skip
+_AHEAD = 1 << 16  # bytes that are read ahead
+_LASTING = (PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, TypeError, ValueError)
 
 _T = TypeVar("_T")
 
@@ -74,10 +72,9 @@ class Remote:
         known = (facts.get(key) for key in ("ETag", "Last-Modified", "LastModified", "mtime", "created"))
         return int(facts["size"]), str(next((value for value in known if value), ""))
 
-    def open(self, sequential: bool = False) -> BinaryIO:
-        """The file, which can be sought; ``sequential`` reads far ahead. Raises: InputError, also when it is read."""
-        ahead = _LARGE if sequential else _SMALL
-        file = self._ask(lambda system, path: system.open(path, "rb", block_size=ahead, cache_type="readahead"))
+    def open(self) -> BinaryIO:
+        """The file, which can be sought. Raises: InputError, also when it is read."""
+        file = self._ask(lambda system, path: system.open(path, "rb", block_size=_AHEAD, cache_type="readahead"))
         if (cache := getattr(file, "cache", None)) is not None:  # stores in memory have none, and do not fail
             fetch = cache.fetcher
             cache.fetcher = lambda start, end: self._ask(lambda *_: fetch(start, end))
@@ -97,7 +94,7 @@ class Remote:
         if not self.exists(OutputError):
             return []
         found = self._ask(lambda system, path: system.ls(path, detail=False), OutputError)
-        return sorted({name for one in found if (name := posixpath.basename(one.rstrip("/")))})
+        return sorted({posixpath.basename(one.rstrip("/")) for one in found} - {""})
 
     def remove(self) -> None:
         """Remove the file. Raises OutputError."""
@@ -126,19 +123,17 @@ class Remote:
             except Exception as failure:  # a store raises what it likes
                 cause = failure.__cause__ or failure  # fsspec calls much "not found" that has another cause
                 status = _status(cause)
+                why = f"cannot be reached: {type(cause).__name__}: {cause}"
                 if status in (404, 410) or (status is None and isinstance(cause, FileNotFoundError)):
-                    what = "no such bucket or folder to write to" if error is OutputError else "no such file"
-                    raise error(f"{self.uri}: {what}") from failure
-                passes = status is None or status >= 500 or status in (408, 425, 429)
-                if wait is None or not passes or isinstance(cause, _LASTING):
-                    hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(
-                        cause, ImportError
-                    )
-                    if "range requests" in str(cause):
-                        why = "the server does not support range requests, which read parts of a file; download the file first"
-                        raise error(f"{self.uri}: {why}") from failure
-                    raise error(f"{self.uri}: cannot be reached: {type(cause).__name__}: {cause}{hint}") from failure
-            time.sleep(wait)
+                    why = "no such bucket or folder to write to" if error is OutputError else "no such file"
+                elif "range requests" in str(cause):
+                    why = "the server does not support range requests, which read parts of a file; download the file first"
+                elif isinstance(cause, ImportError):
+                    why += "; pip install 'jaxfilter[remote]' brings s3:// and https://"
+                elif wait and not isinstance(cause, _LASTING) and (status or 500) in (408, 425, 429, *range(500, 600)):
+                    time.sleep(wait)
+                    continue
+                raise error(f"{self.uri}: {why}") from failure
         raise AssertionError("unreachable")
 
 

@@ -8,15 +8,12 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
-import functools
 import io
 import itertools
 import re
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,14 +23,11 @@ from ..core.errors import InputError
 from ..core.inputs import COLUMN_TYPES, LARGEST
 from ..core.reading import Reading, inside
 from ..core.units import check_lengths, sampled
-from .disk import CHANGED_IN_READING, CHANGED_SINCE, Bounds, Identity
+from .disk import CHANGED_SINCE, Bounds, Identity, opened
 from .guard import reading_errors
 
-SUFFIXES = (".txt", ".xyz", ".csv")
-GROUND, OBJECT = 0, 1
-"""Labels as the ISPRS samples have them."""
+TEXT_SUFFIXES = (".txt", ".xyz", ".csv")
 
-_BLANK = b" \t\n"
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 _END = 8e88  # pandas sees this behind the last cell of each line, so that no cell can be missing; no cell of points
 _DELIMITERS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
@@ -47,14 +41,13 @@ _NAMES = {  # column names, without case and punctuation
 _LARGEST = LARGEST | {"withheld": 1, "overlap": 1, "label": 1}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class TextFile:
     """Points of a text file."""
 
     path: Path
     identity: Identity
     format: str  # in words
-    checksum: int  # CRC-32 of all bytes of the file
     rows: np.ndarray  # bool of all lines of data, those whose points these are
     xyz: np.ndarray  # f64[n, 3], file units
     columns: dict[str, np.ndarray]  # [n], named as those of a cloud; "reference" comes from a column "label"
@@ -67,8 +60,8 @@ class TextFile:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the file, wherever it is mounted: its size, the time of its last change and its checksum."""
-        return f"{self.identity.size}-{self.identity.modified}-{self.checksum:08x}"
+        """Changes with the file, wherever it is mounted: its size and the time of its last change."""
+        return f"{self.identity.size}-{self.identity.modified}"
 
     @property
     def decimals(self) -> int:
@@ -110,19 +103,16 @@ class TextFile:
         ``ground`` is bool[n]; ``classes`` makes new classes u8[n] of the old ones. Raises: InputError if the file is gone or has
         changed; OSError.
         """
-        with reading_errors(self.path), self.identity.kept(self.path, CHANGED_SINCE):
-            content = self.path.read_bytes()
-            if zlib.crc32(content) != self.checksum:
-                raise InputError(f"{self.path}: {CHANGED_SINCE}")
-            lines = _lines(self.path, content)
-            table = lines.table(range(len(lines.names)), dtype=object, na_filter=False)
+        with reading_errors(self.path), opened(self.path, self.identity, CHANGED_SINCE) as (file, _):
+            content = file.read()
+            lines = _split(self.path, content)
+            table = lines.table(range(len(lines.names)), dtype=object, na_filter=False)[self.rows]
         names, known = list(lines.names), lines.columns
-        table = table if self.rows.all() else table[self.rows].copy()
-        if "label" in known or "classification" not in known:
-            table[known.get("label", len(names))] = np.where(ground, GROUND, OBJECT)
-            names += [] if "label" in known else ["label"]
         if "classification" in known:
             table[known["classification"]] = classes(self.columns["classification"])
+        if "label" in known or "classification" not in known:
+            table[known.get("label", len(names))] = (~ground).astype(np.uint8)
+            names += [] if "label" in known else ["label"]
         quoted = b'"' in lines.data and (lines.delimiter is None or b'"#' in lines.data)
         table.to_csv(
             target,
@@ -143,41 +133,30 @@ def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = Tru
     labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``; if columns cannot be told.
     """
     with reading_errors(path):
-        identity = Identity.of(path)
-        with identity.kept(path, CHANGED_IN_READING):
-            content = path.read_bytes()
-        lines = _lines(path, content)
-        xyz, columns = lines.points()
-        words = f"text separated by {_DELIMITERS[lines.delimiter]}: {' '.join(lines.columns)}"
-        how = numbering(columns, xyz[:, 2])
-        found = TextFile(path, identity, words, zlib.crc32(content), np.ones(len(xyz), bool), xyz, columns, how)
-        part = found.within(bounds)
-        odd = ~np.isfinite(xyz)
-        odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
-        if odd.any() and not drop_invalid:
-            row, axis = np.argwhere(odd)[0]
-            hint = "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
-            raise InputError(f"{lines.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
-        return part
-
-
-def kept_text(path: Path) -> TextFile:
-    """All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
-    with reading_errors(path):
-        return _kept_text(path, Identity.of(path))
-
-
-@functools.lru_cache(1)
-def _kept_text(path: Path, identity: Identity) -> TextFile:
-    """``identity`` is that of the file now."""
-    return open_text(path)
-
-
-def write_table(target: BinaryIO, xyz: np.ndarray, ground: np.ndarray, decimals: int, delimiter: str) -> None:
-    """Append lines of x, y, z (file units) and label."""
-    label = np.where(ground, GROUND, OBJECT)
-    form = delimiter.join([f"%.{decimals}f"] * 3 + ["%d\n"]).encode()
-    target.writelines(form % (*point, flag) for point, flag in zip(xyz.tolist(), label.tolist(), strict=True))
+        with opened(path) as (file, identity):
+            content = file.read()
+        lines = _split(path, content)
+        values = lines.numbers()
+    xyz, columns = np.column_stack([values.pop(axis) for axis in "xyz"]), {}
+    for name, column in values.items():
+        odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
+        if odd.any():
+            row, needed = int(odd.argmax()), f"whole numbers from 0 to {_LARGEST[name]} are needed"
+            raise InputError(f"{lines.place(row)}: {name} is {column[row]:g}; {needed}")
+        columns[name] = column.astype(COLUMN_TYPES.get(name, bool))
+    if "label" in columns:
+        columns["reference"] = ~columns.pop("label")
+    words = f"text separated by {_DELIMITERS[lines.delimiter]}: {' '.join(lines.columns)}"
+    how = numbering(columns, xyz[:, 2])
+    found = TextFile(path, identity, words, np.ones(len(xyz), bool), xyz, columns, how)
+    part = found.within(bounds)
+    odd = ~np.isfinite(xyz)
+    odd &= (part.rows | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
+    if odd.any() and not drop_invalid:
+        row, axis = np.argwhere(odd)[0]
+        hint = "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
+        raise InputError(f"{lines.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
+    return part
 
 
 class _Lines(NamedTuple):
@@ -198,23 +177,7 @@ class _Lines(NamedTuple):
         numbers = (number for number, line in lines if number >= self.first and _holds_data(line))
         return f"{self.path}: line {next(itertools.islice(numbers, row, None))}"
 
-    def points(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Coordinates f64[n, 3] and columns, as of :class:`TextFile`. Raises: InputError."""
-        values, columns = self._numbers(), {}
-        for name in _LARGEST.keys() & values:
-            column, most = values[name], _LARGEST[name]
-            odd = ~((column >= 0) & (column <= most) & (column == np.rint(column)))
-            if odd.any():
-                row = int(odd.argmax())
-                raise InputError(
-                    f"{self.place(row)}: {name} is {column[row]:g}; whole numbers from 0 to {most} are needed"
-                )
-            columns[name] = column.astype(COLUMN_TYPES.get(name, bool))
-        if "label" in columns:
-            columns["reference"] = ~columns.pop("label")
-        return np.column_stack([values[axis] for axis in "xyz"]), columns
-
-    def _numbers(self) -> dict[str, np.ndarray]:
+    def numbers(self) -> dict[str, np.ndarray]:
         """The columns that are understood, f64[n]. Raises: InputError with line and name of the first cell that is no number."""
         end, n = len(self.names), self.data.count(b"\n")
         self._check(1)  # a column of the words True and False alone would be numbers to pandas
@@ -233,7 +196,6 @@ class _Lines(NamedTuple):
 
         if not self.data:
             return pd.DataFrame(columns=columns)
-        old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # these drop the last of many digits
         return pd.read_csv(
             io.BytesIO(self.data.replace(b"\n", f"{self.delimiter or ' '}{_END}\n".encode())),
             sep=self.delimiter or r"\s+",
@@ -242,7 +204,6 @@ class _Lines(NamedTuple):
             skipinitialspace=True,
             keep_default_na=False,
             encoding_errors="surrogateescape",
-            float_precision="round_trip" if old else None,
             **options,
         )
 
@@ -262,7 +223,7 @@ class _Lines(NamedTuple):
                     raise InputError(f"{self.place(row)}: {name} is {cells[column]!r}, not a number; {hint}")
 
 
-def _lines(path: Path, content: bytes) -> _Lines:
+def _split(path: Path, content: bytes) -> _Lines:
     """Raises: InputError if the columns cannot be told from the lines above the first point."""
     if b"\0" in content:
         raise InputError(f"{path}: holds zero bytes, as UTF-16 does, and text has none; save it as UTF-8")
@@ -270,36 +231,35 @@ def _lines(path: Path, content: bytes) -> _Lines:
     head = dict(enumerate(itertools.takewhile(lambda line: not _is_point(line), io.BytesIO(content)), 1))
     data = content[sum(map(len, head.values())) :]
     first = next(io.BytesIO(data), b"x y z")
-    near = [i for i in reversed(head) if head[i].strip(_BLANK)]
+    near = [i for i in reversed(head) if head[i].strip()]
     comments = list(itertools.takewhile(lambda i: not _holds_data(head[i]), near))
     above = near[len(comments) :][:1]  # the last line that is none
-    named, unnamed = [], []
+    found: list[tuple[int, str | None, list[str], int]] = []
     for delimiter in _DELIMITERS:
         width = len(_cells(first, delimiter))
         for i in above + comments:
             names = _cells(head[i].lstrip(b"/# \t"), delimiter)
             if {"x", "y", "z"} <= set(map(_meaning, names)):
-                named.append((len(names) != width, delimiter, names, i))
+                found.append((len(names) != width, delimiter, names, i))
         if 3 <= width <= 4 and not above and delimiter != "\t":
-            unnamed.append((False, delimiter, ["x", "y", "z", "label"][:width], 0))
-    if not named and not unnamed:
+            found.append((2, delimiter, ["x", "y", "z", "label"][:width], 0))
+    if not found:
         i = above[0] if above else len(head) + 1
         wrong = "holds no point x y z or x y z label, and names no columns x, y and z"
         raise InputError(f"{path}: line {i}, {head.get(i, first)[:60]!r}, {wrong}; this is no text of points")
-    _, delimiter, names, line = min(named or unnamed, key=lambda one: one[0])
+    _, delimiter, names, line = min(found, key=lambda one: one[0])
     known = list(map(_meaning, names))
     columns = {name: known.index(name) for name in known if name}
     if twice := [name.replace("_", " ") for name in columns if known.count(name) > 1]:
         raise InputError(f"{path}: line {line}: two columns name the {twice[0]}; rename the one that does not count")
     if line:
         names[0] = re.match(rb"[/# \t]*", head[line])[0].decode().strip() + names[0]  # type: ignore[index]
-    if re.search(rb"\n[ \t]*[#\n]", data):
-        data = re.sub(rb"(?m)^[ \t]*(?:#.*)?\n", b"", data)
+    data = re.sub(rb"(?m)^[ \t]*(?:#.*)?\n", b"", data) if re.search(rb"\n[ \t]*[#\n]", data) else data
     return _Lines(path, content, data, delimiter, names, columns, line, len(head) + 1)
 
 
 def _holds_data(line: bytes) -> bool:
-    return line.lstrip(_BLANK)[:1] not in (b"", b"#")  # neither blank nor a comment
+    return line.strip()[:1] not in (b"", b"#")  # neither blank nor a comment
 
 
 def _is_point(line: bytes) -> bool:

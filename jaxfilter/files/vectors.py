@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError, OutputError, warn
 from ..core.units import for_outputs, horizontal, same_system
 from .disk import new_file
-from .sources import FARTHEST
+from .reading import FARTHEST
 from .storage import Place
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 """Kinds of files by their suffix."""
-SUFFIXES = tuple(DRIVERS)
+VECTOR_SUFFIXES = tuple(DRIVERS)
 _MOST = 1 << 28  # bytes of a file of shapes
 _COMPUTED = """SELECT m.name FROM sqlite_master m JOIN pragma_table_xinfo(m.name) c WHERE m.type = 'view'
     OR (m.type = 'table' AND m.sql NOT LIKE 'CREATE VIRTUAL%' AND c.hidden > 1)"""  # what is in no file, and may have no end

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 import laspy
 import numpy as np
@@ -19,13 +19,12 @@ from ..core.result import FilterResult
 from ..core.units import CRS_RECORDS, GEOKEYS, WKT, for_outputs, geokeys
 from . import copc
 from .classes import Classes, Found, asked, findings_of, largest, table_of
-from .disk import CHANGED_SINCE, Identity, new_file
+from .disk import Identity, new_file
 from .guard import read_header
 from .header import FLOATS, Header
-from .points import CHUNK, CLOUD, Handle, Points, Writer, attributes, coordinates, put_classes
+from .points import Handle, Points, Writer, attributes, put_classes
 from .storage import Place, Remote, place_of
-from .text import SUFFIXES as TEXT_SUFFIXES
-from .text import TextFile, write_table
+from .text import TEXT_SUFFIXES, TextFile
 
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
@@ -44,41 +43,37 @@ EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
 """Quantities of a FilterResult that can be written along with the points."""
 
 LAS_SUFFIXES = (".las", ".laz")
+CLOUD_SUFFIXES = LAS_SUFFIXES + TEXT_SUFFIXES
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Additions:
-    """What is written along with the points.
+    """What is written along with the points: ``columns``, f[n] by name, become float32 extra bytes; ``z``, f[n], takes the place
+    of Z."""
 
-    Attributes:
-        extra: quantities of the result that become float32 extra bytes, see :func:`write`.
-        columns: f[n] by name, further extra bytes.
-        z: f[n], in place of Z.
-
-    Raises: ParameterError for quantities that there are not, or twice.
-    """
-
-    extra: Iterable[str] = ()
     columns: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     z: np.ndarray | None = None
 
-    def __post_init__(self) -> None:
-        names = tuple(self.extra)
-        object.__setattr__(self, "extra", names)
-        if set(names) - set(EXTRAS) or len(set(names)) < len(names):
-            raise ParameterError(f"extra={names!r}: distinct names out of {', '.join(EXTRAS)} are needed")
-
     @classmethod
-    def of_heights(cls, heights: np.ndarray | None, replace_z: bool, extra: Iterable[str] = ()) -> Additions:
-        """With heights above ground f[n], in place of Z or as a column. Raises: ParameterError if they are to replace Z and
-        there are none; InputError for others than finite numbers."""
+    def of_heights(cls, heights: np.ndarray | None, replace_z: bool) -> Additions:
+        """Heights above ground f[n], in place of Z or as a column. Raises: ParameterError if they are to replace Z and there are
+        none; InputError for others than finite numbers."""
         if heights is None:
             if replace_z:
                 raise ParameterError("replace_z=True: there are no heights to put there; pass heights=")
-            return cls(extra)
+            return cls()
         if not np.isfinite(heights := np.asarray(heights)).all():
             raise InputError(f"heights: {heights.size} finite numbers are needed")
-        return cls(extra, z=heights) if replace_z else cls(extra, {HEIGHT: heights})
+        return cls(z=heights) if replace_z else cls({HEIGHT: heights})
+
+
+@dataclasses.dataclass(frozen=True)
+class Replacing:
+    """What an output may replace, as of :func:`jaxfilter.files.disk.new_file`."""
+
+    overwrite: bool = False
+    in_place: bool = False
+    into: Path | None = None
 
 
 def write(
@@ -134,10 +129,26 @@ def write(
     named = Classes(ground_class, other_class, reset, only_ground, noise_class)
     if classes is not None and named != Classes():
         raise ParameterError(f"classes={classes!r}: holds the other settings of classes as well; name them there only")
-    additions = Additions.of_heights(heights, replace_z, extra)
-    return write_cloud(
-        place_of(path), cloud, result, classes or named, additions, overwrite=overwrite, in_place=in_place
-    )
+    added = Additions.of_heights(heights, replace_z)
+    added = dataclasses.replace(added, columns={**_quantities(result, check_extra(extra)), **added.columns})
+    return write_cloud(place_of(path), cloud, result, classes or named, added, Replacing(overwrite, in_place))
+
+
+def check_extra(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of quantities of a result. Raises: ParameterError for those that there are not, or twice."""
+    names = tuple(names)
+    if set(names) - set(EXTRAS) or len(set(names)) < len(names):
+        raise ParameterError(f"extra={names!r}: distinct names out of {', '.join(EXTRAS)} are needed")
+    return names
+
+
+def _quantities(result: FilterResult | np.ndarray | None, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    if names and not isinstance(result, FilterResult):
+        raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
+    found = {name: getattr(result, name) for name in names}
+    if absent := [name for name, values in found.items() if values is None]:
+        raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
+    return found
 
 
 def write_cloud(
@@ -146,14 +157,11 @@ def write_cloud(
     result: FilterResult | np.ndarray | Found | None,
     classes: Classes = Classes(),  # noqa: B008
     additions: Additions = Additions(),
-    *,
-    overwrite: bool = False,
-    in_place: bool = False,
-    into: Path | None = None,
+    replacing: Replacing = Replacing(),
 ) -> Place:
-    """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
+    """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
-    if kind not in LAS_SUFFIXES + TEXT_SUFFIXES:
+    if kind not in CLOUD_SUFFIXES:
         known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *TEXT_SUFFIXES))
         raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
@@ -163,23 +171,23 @@ def write_cloud(
     if kind in TEXT_SUFFIXES:
         if result is None:
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
-        named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
+        named = [*additions.columns, *(["heights"] if additions.z is not None else [])]
         named += [] if isinstance(source, TextFile) and "classification" in source.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
     if (octree := copc.is_copc(path)) and isinstance(source, Handle):
         copc.check_format(path, source.header.point_format)
     origin = None if source is None else source.path
-    again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as opened:
+    with new_file(path, source=origin, **dataclasses.asdict(replacing)) as temporary:
         if kind in TEXT_SUFFIXES:
-            _write_text(path, temporary, cloud, labels, opened)
-        else:
-            plain = temporary.with_name("plain.las") if octree else temporary
-            with open(plain, "x+b") as file:
-                _write_las(path, file, cloud, labels, opened)
-            if octree:
-                copc.write_octree(plain, temporary)
+            _write_text(path, temporary, cloud, labels)
+            return path
+        plain = temporary.with_name("plain.las") if octree else temporary
+        again = source.again() if isinstance(source, Handle) else contextlib.nullcontext()
+        with again as opened, open(plain, "x+b") as file:
+            _write_las(path, file, cloud, labels, opened)
+        if octree:
+            copc.write_octree(plain, temporary)
     return path
 
 
@@ -187,28 +195,14 @@ class _Labels:
     """The outcome of a run as new classes and extra values, for any run of points."""
 
     def __init__(
-        self,
-        cloud: PointCloud,
-        result: FilterResult | np.ndarray | Found | None,
-        classes: Classes,
-        additions: Additions,
+        self, cloud: PointCloud, result: FilterResult | np.ndarray | Found | None, rule: Classes, additions: Additions
     ) -> None:
-        found = result if isinstance(result, FilterResult) else None
+        self.table, self.rule, self.extra, self.z = table_of(rule), rule, additions.columns, additions.z
         if result is None:
             nothing = np.zeros(len(cloud), np.uint8)
             self.table, result = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
-        else:
-            self.table = table_of(classes)
-        given = result if isinstance(result, Found) else findings_of(cloud, result, classes)
-        self.rule, self.ground, self.code = classes, given.ground, given.code
-        names = tuple(additions.extra)
-        if found is None and names:
-            raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
-        self.extra: dict[str, np.ndarray] = {name: getattr(found, name) for name in names}
-        if absent := [name for name, values in self.extra.items() if values is None]:
-            raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
-        self.extra |= additions.columns
-        self.z = None if additions.z is None else additions.z.astype(np.float64)
+        found = result if isinstance(result, Found) else findings_of(cloud, result, rule)
+        self.ground, self.code = found.ground, found.code
         for name, values in [*self.extra.items(), *([] if self.z is None else [("heights", self.z)])]:
             if values.shape != self.ground.shape:
                 raise InputError(f"{name}: {len(cloud)} numbers are needed for this cloud, not {list(values.shape)}")
@@ -230,9 +224,8 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     """``opened``: the file that the cloud is of."""
     las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
-    chunks = _fresh_points(path, header, cloud) if las is None or opened is None else las.records(opened)
-    number = header.point_format
-    most = largest(labels.rule)
+    chunks = [_fresh_points(path, header, cloud)] if las is None else las.records(cast(BinaryIO, opened))
+    number, most = header.point_format, largest(labels.rule)
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
@@ -244,18 +237,14 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64: rename them first"
         )
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    octree = copc.is_copc(path)
-    compressed = path.suffix.lower() == ".laz" and not octree
-    if header.is_copc and not octree:
+    compressed = path.suffix.lower() == ".laz" and not copc.is_copc(path)
+    if header.is_copc and not copc.is_copc(path):
         warn(f"{path}: the input is COPC, the output is plain {'LAZ' if compressed else 'LAS'}, without an octree")
     writer = Writer(file, header, compressed, added, None if las is None else _crs_record(path, header, cloud))
     packed_waves = number in (9, 10) and (compressed or header.compressed)
-    channels: set[int] = set()
-    done = 0
+    channels, done = set(), 0
     for points in chunks:
         rows = slice(done, done := done + len(points))
-        if done > len(labels.ground):
-            raise InputError(f"{header.path}: {CHANGED_SINCE}")
         if packed_waves:
             channels |= set(np.unique(points.scanner_channel).tolist())
             if len(channels) > 1:  # lazrs 0.8 mixes up the wave packets of different channels
@@ -269,10 +258,8 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             at = slice(dimension.start, dimension.start + dimension.size)
             points.array["ExtraBytes"][:, at] = values.reshape(len(points), dimension.size)
         if labels.z is not None:
-            points.array["Z"] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
+            points.array["Z"] = _ticks(path, header, labels.z[rows, None].astype(np.float64), slice(2, 3))[:, 0]
         writer.write(points, {name: labels.extra[name][rows] for name in added})
-    if done < len(labels.ground):
-        raise InputError(f"{header.path}: {CHANGED_SINCE}")
     writer.finish(opened)
 
 
@@ -291,17 +278,16 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
 def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
     """Number and data of the record that states the CRS of a cloud whose file states none: WKT where LAS knows it, and else the
     EPSG codes as GeoTIFF keys."""
-    if cloud.crs is None or any(record.key in CRS_RECORDS for record in (*header.vlrs, *header.evlrs)):
+    crs = None if any(one.key in CRS_RECORDS for one in (*header.vlrs, *header.evlrs)) else for_outputs(cloud.crs)
+    if crs is None:
         return None
-    if (crs := for_outputs(cloud.crs)) is None:
-        return None
-    if header.minor >= 4:
+    if header.version >= 4:
         return WKT, crs.to_wkt("WKT1_GDAL").encode() + b"\0"
-    keys = geokeys(crs)
-    if keys is None:
-        without = f"its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out"
+    if (keys := geokeys(crs)) is None:
+        without = f"its CRS has no EPSG code, which LAS 1.{header.version} needs, and is left out"
         warn(f"{path}: {without}: convert the input to LAS 1.4")
-    return None if keys is None else (GEOKEYS, keys)
+        return None
+    return GEOKEYS, keys
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
@@ -320,59 +306,43 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     return read_header(path, file, identity)
 
 
-def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Iterator[Points]:
+def _fresh_points(path: Place, header: Header, cloud: PointCloud) -> Points:
     """Points of format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
     known = {name: values for name in COLUMN_TYPES if (values := getattr(cloud, name)) is not None}
     if isinstance(cloud.source, TextFile):
         known = cloud.source.columns | known
-    done = 0
-    for xyz in _runs(cloud, None):
-        rows = slice(done, done := done + len(xyz))
-        points = Points.zeros(len(xyz), laspy.PointFormat(header.point_format))
-        for axis, ticks in zip("XYZ", _ticks(path, header, xyz).T, strict=True):
-            points.array[axis] = ticks
-        points.return_number = points.number_of_returns = np.ones(
-            len(xyz), np.uint8
-        )  # the only echo, where nothing is said
-        for name in COLUMN_TYPES & known.keys():
-            points[name][:] = known[name][rows]
-        yield points
+    points = Points.zeros(len(cloud), laspy.PointFormat(header.point_format))
+    for axis, ticks in zip("XYZ", _ticks(path, header, _coordinates(cloud)).T, strict=True):
+        points.array[axis] = ticks
+    points.return_number = points.number_of_returns = np.ones(len(cloud), np.uint8)  # where nothing is said
+    for name in COLUMN_TYPES & known.keys():
+        points[name][:] = known[name]
+    return points
 
 
-def _runs(cloud: PointCloud, opened: BinaryIO | None) -> Iterator[np.ndarray]:
-    """The coordinates in file units, f64[k, 3]: of the source file, or else of the cloud."""
-    if isinstance(cloud.source, Handle) and opened is not None:
-        yield from (coordinates(points, cloud.source.header) for points in cloud.source.records(opened, CLOUD))
-        return
-    for start in range(0, len(cloud), CHUNK):
-        rows = slice(start, start + CHUNK)
-        if isinstance(cloud.source, TextFile):
-            yield cloud.source.xyz[rows]
-        else:
-            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-            yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan)
+def _coordinates(cloud: PointCloud) -> np.ndarray:
+    """f64[n, 3] in file units: of the source file, or else of the cloud, NaN where it has none."""
+    if cloud.source is not None:
+        return np.asarray(cloud.source.coordinates())
+    xyz = cloud.coordinates()
+    return xyz if cloud.valid is None else np.where(cloud.valid[:, None], xyz, np.nan)
 
 
-def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, opened: BinaryIO | None) -> None:
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
     source: Handle | TextFile | None = cloud.source
     if isinstance(source, TextFile):
         source.rewrite(temporary, labels.ground, lambda old: labels.classes(old, slice(None)))
         return
-    with open(temporary, "xb") as file:
-        decimals = 3 if source is None else _decimals(source.header)
-        delimiter = "," if path.suffix.lower() == ".csv" else "\t"
-        if delimiter == ",":
-            file.write(b"x,y,z,label\n")
-        done = 0
-        for xyz in _runs(cloud, opened):
-            rows = slice(done, done := done + len(xyz))
-            write_table(file, xyz, labels.ground[rows], decimals, delimiter)
+    decimals = 3 if source is None else _decimals(source.header)
+    delimiter, header = (",", "x,y,z,label") if path.suffix.lower() == ".csv" else ("\t", "")
+    table, form = np.column_stack([_coordinates(cloud), ~labels.ground]), [f"%.{decimals}f"] * 3 + ["%d"]
+    np.savetxt(temporary, table, form, delimiter, header=header, comments="")
 
 
 def _decimals(header: Header) -> int:
     """Decimals that show the coordinates of a file: its scales exactly, 12 at most, and no less than 6 for odd offsets."""
     for decimals in range(12):
-        steps, lag = header.scales * 10.0**decimals, header.offsets * 10.0**decimals
-        if np.allclose(steps, np.rint(steps), rtol=1e-9, atol=0) and (np.rint(steps) > 0).all():
-            return decimals if np.allclose(lag, np.rint(lag), rtol=1e-12, atol=1e-6) else max(decimals, 6)
+        if np.allclose(header.scales, header.scales.round(decimals), rtol=1e-9, atol=0):
+            lag = header.offsets - header.offsets.round(decimals)
+            return decimals if (abs(lag) < 1e-6 * 10.0**-decimals).all() else max(decimals, 6)
     return 12

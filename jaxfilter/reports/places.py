@@ -307,9 +307,9 @@ def review(
     >>> places["rank"].tolist() == list(range(1, len(places) + 1)), bool(places["volume"].is_monotonic_decreasing)
     (True, True)
     """
-    from ..files.vectors import SUFFIXES, write_features
+    from ..files.vectors import VECTOR_SUFFIXES, write_features
 
-    target = None if path is None else check_suffix(Path(path), SUFFIXES)
+    target = None if path is None else check_suffix(Path(path), VECTOR_SUFFIXES)
     cloud = as_cloud(cloud)
     table = table_of(places_of(find_suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
     if target is not None:

@@ -20,11 +20,11 @@ from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
-from ..files.disk import Seal, check_suffix, new_file
+from ..files.disk import Seal, check_suffix, new_file, seal_file
 from ..files.sources import file_cloud
 from ..files.storage import Remote, place_of
-from ..files.vectors import SUFFIXES
-from ..files.writing import LAS_SUFFIXES, write_cloud
+from ..files.vectors import VECTOR_SUFFIXES
+from ..files.writing import LAS_SUFFIXES, Replacing, write_cloud
 from ..methods.ost import OST
 from ..reports.places import SIDE
 from ..surveys.claim import Claim, claim_of
@@ -114,7 +114,7 @@ class VerdictProduct(Product):
         label, *_ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0)
-            write_cloud(task.target, cloud, found_in(label), self.classes, **task.how)
+            write_cloud(task.target, cloud, found_in(label), self.classes, replacing=Replacing(**task.how))
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and write the log, which takes its place together with them."""
@@ -282,7 +282,7 @@ class Log:
             facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})
-        seals = {name: dataclasses.asdict(Seal.of(parts.get(name, self.path.parent / name))) for name in names}
+        seals = {name: dataclasses.asdict(seal_file(parts.get(name, self.path.parent / name))) for name in names}
         with new_file(self.path, overwrite=True, into=into) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
 
@@ -337,7 +337,7 @@ def review_survey(
     >>> report.complete, report.points == len(cloud)
     (True, True)
     """
-    check_suffix(target := Path(path), SUFFIXES)
+    check_suffix(target := Path(path), VECTOR_SUFFIXES)
     check_in_place(reading)
     return run_review(what, target, target, ground, reading, run)
 

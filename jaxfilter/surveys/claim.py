@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from ..core.errors import InputError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, check_own, existing, is_there, output_errors, sync, warn_of_names
+from ..files.disk import Seal, check_own, existing, identify, is_there, output_errors, seal_file, sync, warn_of_names
 from ..files.storage import Place, Remote, place_of
 from .options import RunOptions
 from .report import MAP, REPORT
@@ -163,7 +163,7 @@ class Claim(Targets):
         for number, place in enumerate(self.places):
             if (part := self.part(number)) is not None and part.exists():
                 known = self.store.seal(number)
-                seal = dataclasses.asdict(Seal.of(part) if known is None else known["seal"])
+                seal = dataclasses.asdict(seal_file(part) if known is None else known["seal"])
                 files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
         self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
         self.finish()
@@ -219,7 +219,7 @@ def _entries(done: dict[str, Any]) -> list[tuple[dict[str, Any], Place, Path]]:
 
 def _identity(place: Place) -> dict[str, Any] | None:
     """Of the file that has this name now. Raises: OSError, InputError."""
-    return dataclasses.asdict(Identity.of(place)) if is_there(place) else None
+    return dataclasses.asdict(identify(place)) if is_there(place) else None
 
 
 def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:

@@ -21,7 +21,7 @@ from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file, squares_of, with_true_extent
 from ..files.storage import Remote, place_of
-from ..files.text import SUFFIXES as TEXT
+from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 

@@ -15,8 +15,8 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.classes import Classes, Finding, Found, class_changes, findings_of
-from ..files.text import SUFFIXES as TEXT
-from ..files.writing import Additions, write_cloud
+from ..files.text import TEXT_SUFFIXES as TEXT
+from ..files.writing import Additions, Replacing, check_extra, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
 from .kept import WaterWanted, check_shapes, kept_water, list_places, list_water, suspects_in
@@ -84,7 +84,7 @@ class GroundProduct(Product):
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, **task.how)
+        write_cloud(task.target, cloud, found, self.classes, additions, Replacing(**task.how))
 
     @property
     def added(self) -> int:
@@ -167,7 +167,7 @@ def ground(
         reading=survey.reading,
         halo=run.halo,
         classes=classes,
-        extra=tuple(Additions(extra).extra),
+        extra=check_extra(extra),
         review=listed,
         water=WaterWanted(path=outlined),
         into_text=all(place.suffix.lower() in TEXT for place in survey.targets.places),

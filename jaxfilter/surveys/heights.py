@@ -14,7 +14,7 @@ from ..core.errors import InputError, ParameterError
 from ..core.reading import Reading
 from ..core.result import Status
 from ..files.classes import Classes, findings_of
-from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, write_cloud
+from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, Replacing, write_cloud
 from ..terrain.models import heights_of
 from .collection import Collection
 from .ground import summarise
@@ -76,7 +76,7 @@ class HeightProduct(GroundNeeded):
         cloud, found, quantities = self.collected(task, {HEIGHT: np.float64})
         result = found if self.classes_of_ground is None else None
         additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
-        write_cloud(task.target, cloud, result, Classes(), additions, **task.how)
+        write_cloud(task.target, cloud, result, Classes(), additions, Replacing(**task.how))
 
     @property
     def added(self) -> int:

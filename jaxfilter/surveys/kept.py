@@ -14,7 +14,7 @@ from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
 from ..files.disk import check_suffix
-from ..files.vectors import SUFFIXES, write_features
+from ..files.vectors import VECTOR_SUFFIXES, write_features
 from ..terrain.levels import WaterRuns, outlines
 from .collection import Collection, common
 from .product import KEPT, Product
@@ -51,7 +51,7 @@ def suspects_in(
 
 def check_shapes(path: Path) -> None:
     """Raises: OutputError if the name is not that of a GeoPackage or GeoJSON."""
-    check_suffix(path, SUFFIXES)
+    check_suffix(path, VECTOR_SUFFIXES)
 
 
 def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:

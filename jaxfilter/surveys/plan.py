@@ -176,9 +176,9 @@ def plan_tiles(where: Where, cut: Cut, side: float | None = None) -> Plan:
     """Tiles over files. Nothing but where the points lie, the halo and the lattice decides on them, so that a run has the same
     tiles on every machine.
 
-    Without a ``side``, a tile is halved until core and halo have :data:`TILE_POINTS` points or fewer, unless its parts would be read
-    :data:`MOST_READ` times; and until its points fill a part of 1 / :data:`SCATTERED` of it. Data of :data:`WHOLE` points or
-    fewer that fill their extent are one tile. ``side``: of cores, metres; then they are squares that end at multiples of it,
+    Without a ``side``, a tile is halved until core and halo have at most :data:`TILE_POINTS` points, unless its parts would be
+    read :data:`MOST_READ` times; and until its points fill a part of 1 / :data:`SCATTERED` of it. Data of at most :data:`WHOLE`
+    points that fill their extent are one tile. ``side``: of cores, metres; then they are squares that end at multiples of it,
     widened to a multiple of the lattice.
 
     Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.

@@ -13,7 +13,7 @@ from ..core.reading import Reading
 from ..files.classes import Classes
 from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
-from ..files.vectors import SUFFIXES
+from ..files.vectors import VECTOR_SUFFIXES
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
@@ -92,7 +92,7 @@ def products(
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)
     if outlined is not None:
-        check_suffix(outlined, SUFFIXES)
+        check_suffix(outlined, VECTOR_SUFFIXES)
         if any(isinstance(place, Path) and outlined.absolute() == place.absolute() for place in outputs.values()):
             raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the contours: name another")
     for place in (*outputs.values(), folder / PAGE):

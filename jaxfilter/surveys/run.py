@@ -24,7 +24,7 @@ from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.version import __version__
-from ..files.disk import Identity, Seal, is_there
+from ..files.disk import identify, is_there, seal_file
 from ..files.sources import WHOLE, fingerprint
 from ..files.storage import Place
 from ..methods import FILTERS
@@ -242,7 +242,7 @@ def write_file(product: Product, task: FileTask, last: bool) -> dict[str, Any]:
     """Write a file: its seal, what was warned of, and seconds; whether it is tried again changes nothing. Raises: as
     ``Product.file``."""
     seconds, remarks = done_file(product, task)
-    seal = dataclasses.asdict(Seal.of(written(task.target, task.how["into"])))
+    seal = dataclasses.asdict(seal_file(written(task.target, task.how["into"])))
     return {"seal": seal, "remarks": remarks, "seconds": seconds}
 
 
@@ -315,7 +315,7 @@ class Run:
         """Number and bytes of each output that will take the place of an input, about."""
         for number in np.flatnonzero(~self._is_written).tolist():
             source = self.collection[number]
-            size = Identity.of(source.place).size
+            size = identify(source.place).size
             yield number, size + self.product.added * source.count
 
     def _carry_out(self, executor: Executor) -> None:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from ..core.errors import JaxfilterError, OutputError, ParameterError
 from ..files.disk import check_writable, is_there, output_errors
 from ..files.storage import Place, Remote, place_of
-from ..files.text import SUFFIXES as TEXT
+from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 from .options import RunOptions
 from .report import REPORT

@@ -25,7 +25,8 @@ from ..core.units import WKT, Reference, Stated, Units, reference_of
 from ..files.disk import new_file, opened
 from ..files.guard import reading_errors
 from ..files.points import dimensions_of
-from ..files.sources import FARTHEST, NO_BOUNDS, Source
+from ..files.reading import FARTHEST
+from ..files.sources import NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
 _SCHEMES = ("file", "s3", "gs", "az", "abfs", "http", "https")  # of names: others may do more than fetch a file
@@ -47,7 +48,7 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
 
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
-    with reading_errors(place), opened(place, sequential=True) as (file, _):
+    with reading_errors(place), opened(place) as (file, _):
         content = json.load(TextIOWrapper(file, "utf-8"))
     items = content.get("features") if isinstance(content, dict) else None
     if not isinstance(items, list):

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.errors import ParameterError, check_positive
 from ..files.disk import check_suffix
 from ..files.storage import place_of
-from ..files.vectors import SUFFIXES, write_features
+from ..files.vectors import VECTOR_SUFFIXES, write_features
 from .layer import Layer, setting
 from .models import Dtm
 from .raster import STRIP, Raster
@@ -31,7 +31,7 @@ _MOST = 5_000  # elevations of lines in a block
 class Contours(Layer):
     """Contour lines of the terrain model, see :func:`contours`."""
 
-    NAME, TITLE, SUFFIXES, MODEL = "contours", "elevation", SUFFIXES, True
+    NAME, TITLE, SUFFIXES, MODEL = "contours", "elevation", VECTOR_SUFFIXES, True
     interval: float = setting("Difference of elevation between lines, in units of Z.", 1.0)
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ def contours(
     import pandas as pd
 
     layer, z = Contours(interval), model.values
-    target = None if path is None else check_suffix(place_of(path), SUFFIXES)
+    target = None if path is None else check_suffix(place_of(path), VECTOR_SUFFIXES)
     strips = (z[top : top + STRIP + 1] for top in range(0, max(1, len(z) - 1), STRIP))
     table = pd.concat(list(contour_tables(strips, interval, model.transform, model.crs)), ignore_index=True)
     if target is not None:

@@ -18,7 +18,7 @@ from ..core.result import FilterResult
 from ..core.units import Units
 from ..files.disk import check_suffix
 from ..files.storage import place_of
-from ..files.vectors import SUFFIXES, write_features
+from ..files.vectors import VECTOR_SUFFIXES, write_features
 from .interpolation import Linear, nearest_point
 from .layer import Layer, Site, ground_of, setting
 from .levels import levels_in, outlines
@@ -298,7 +298,7 @@ def breaklines(
     ({'Polygon'}, True, True)
     """
     cloud = as_cloud(cloud)
-    target = None if path is None else check_suffix(place_of(path), SUFFIXES)
+    target = None if path is None else check_suffix(place_of(path), VECTOR_SUFFIXES)
     table = outlines(levels_in(cloud, result, ground_of(cloud, result)), cloud.crs)
     if target is not None:
         write_features(target, [table], "breaklines", overwrite=overwrite)
