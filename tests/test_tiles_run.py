@@ -23,7 +23,8 @@ import jaxfilter as jf
 from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.surveys.plan import TILE_POINTS, WHOLE, Cut, Where, plan_tiles
+from jaxfilter.surveys.plan import TILE_POINTS, WHOLE, Where, plan_tiles
+from jaxfilter.surveys.product import Cut
 from jaxfilter.surveys.report import TILE, RunReport, Summary
 from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names

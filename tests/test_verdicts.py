@@ -19,6 +19,7 @@ from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
 from jaxfilter.reviews.verdicts import HALO, PLACE_RIM, read_verdicts, sites_of
 from jaxfilter.surveys.measures import Recipe, Sampler
+from jaxfilter.surveys.plan import where_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 UTM, TM = (pyproj.CRS(one) for one in (25832, "+proj=tmerc +lon_0=9 +x_0=500000 +datum=WGS84 +units=m"))
@@ -260,7 +261,8 @@ def test_files_have_the_labels_of_memory(survey, xyz, wrong, tmp_path):
     jf.apply_survey(places, survey, run=ONE)
     cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
     like = dataclasses.replace(labelled(xyz, wrong & (old == 2)))
-    filter_ = Sampler(jf.open(survey), jf.Reading()).filter_for(Recipe())
+    files = jf.open(survey)
+    filter_ = Sampler(files, jf.Reading(), where_of(files)).filter_for(Recipe())
     memory = jf.apply(dataclasses.replace(like, run=dataclasses.replace(like.run, cloud=cloud, filter=filter_)), places)
     np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
 

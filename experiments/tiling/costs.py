@@ -25,7 +25,8 @@ import jaxfilter as jf
 from experiments.report import Column, Row, markdown
 from experiments.tiling.labels import generated
 from jaxfilter.surveys.options import need
-from jaxfilter.surveys.plan import Cut, Where, plan_tiles
+from jaxfilter.surveys.plan import Where, plan_tiles
+from jaxfilter.surveys.product import Cut
 
 COMMAND = [sys.executable, "-c", "from jaxfilter.cli import main; main(prog_name='jaxfilter')", "ground"]
 AREA = 40_000

@@ -16,7 +16,8 @@ from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import lowest_among
 from jaxfilter.surveys.collection import Collection
 from jaxfilter.surveys.measures import Sampler
-from jaxfilter.surveys.plan import Cut, plan_tiles
+from jaxfilter.surveys.plan import plan_tiles, where_of
+from jaxfilter.surveys.product import Cut
 from jaxfilter.surveys.run import tile_of
 from jaxfilter.surveys.tiles import joined, part_of, read_tile
 
@@ -95,8 +96,8 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float) -> tuple[np.n
     files = one.collection
     low, high = np.reshape(files.bounds, (2, 2))
     side = float((high - low).max()) * files.metre / cuts
-    plan = plan_tiles(files.where, Cut(halo, filter_.lattice()), side)
-    whole = Sampler(files, READING).whole_for(filter_)
+    plan = plan_tiles(where := where_of(files), Cut(halo, filter_.lattice()), side)
+    whole = Sampler(files, READING, where).whole_for(filter_)
     lowest = lowest_among(filter_, points := filter_.points_of(one.cloud))
     if lowest is not None:
         height = float(points.xyz[lowest, 2].min())

@@ -45,15 +45,16 @@ class Program(click.Group):
     """The command as a whole: it can be stopped, see ``stoppable``, answers words of other programs, and has a command for each
     layer."""
 
+    layer_command: type[click.Command]
+    """Makes the command of a layer by its name."""
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names, sorted."""
         return sorted([*self.commands, *LAYERS])
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """A command by its name."""
-        from .terrain import LayerCommand
-
-        return LayerCommand(name) if name in LAYERS else super().get_command(ctx, name)
+        return self.layer_command(name) if name in LAYERS else super().get_command(ctx, name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""

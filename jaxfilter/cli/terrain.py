@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..terrain.layers import LAYERS
-from .commands import command
+from .commands import command, main
 from .options import (
     BOUNDS,
     BREAKLINES,
@@ -65,6 +65,9 @@ class LayerCommand(click.Command):
         """Take the words apart as the layer does."""
         assert self.name is not None
         return layer_command(self.name).make_context(info_name, args, parent, **extra)
+
+
+main.layer_command = LayerCommand
 
 
 def layer_command(name: str) -> click.Command:

@@ -33,6 +33,8 @@ SQUARE = 64.0
 _WIDE, _FEW, _FILLED = 1000.0, 16, 0.6
 """Metres, about, of the side of a file whose points are looked at; samples that say too little; and the share of equal parts of
 the extent that have a sample if the points fill it."""
+SCATTERED = 4.0
+"""Points are scattered over an extent that is so many times as large as the squares that hold them."""
 Squares = tuple[np.ndarray, np.ndarray]
 """i64[m, 2], column and row of squares that hold points, counted from zero of the coordinates; i64[m], how many points."""
 
@@ -142,7 +144,7 @@ def squares_of(source: Source) -> Squares | None:
     with contextlib.suppress(InputError):
         file, side = _file_of(source), SQUARE / source.metre
         if isinstance(file, TextFile):
-            return counted_squares([file.xyz[:, :2]], side)
+            return _scattered(counted_squares([file.xyz[:, :2]], side), source)
         some = first_points(file.header)
         parts = min(16, math.isqrt(len(some) // 4))
         if len(some) > _FEW:
@@ -150,8 +152,14 @@ def squares_of(source: Source) -> Squares | None:
             if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
                 return None
         every = (coordinates(points, file.header, 2) for points, _ in read_points(file.header, fields=CLOUD))
-        return counted_squares(every, side)
+        return _scattered(counted_squares(every, side), source)
     return None
+
+
+def _scattered(found: Squares, source: Source) -> Squares | None:
+    """Squares that are a small part of the extent; None for others."""
+    x0, y0, x1, y1 = np.array(source.bounds) * source.metre
+    return None if (x1 - x0) * (y1 - y0) <= SCATTERED * len(found[0]) * SQUARE**2 else found
 
 
 def counted_squares(parts: Iterable[np.ndarray], side: float) -> Squares:

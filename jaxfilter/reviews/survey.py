@@ -33,8 +33,7 @@ from ..surveys.collection import open as open_collection
 from ..surveys.kept import list_places, suspects_in
 from ..surveys.measures import Recipe
 from ..surveys.options import RunOptions
-from ..surveys.plan import Cut
-from ..surveys.product import CANDIDATE, KEPT, FileTask, Product, found_in, gathered, packed
+from ..surveys.product import CANDIDATE, KEPT, Cut, FileTask, Product, found_in, gathered, packed
 from ..surveys.report import REPORT, RunReport, Summary
 from ..surveys.small import carry_out
 from ..surveys.store import Store

@@ -19,7 +19,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
-from ..files.sources import Source, describe_file, squares_of, with_true_extent
+from ..files.sources import Source, describe_file, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -28,7 +28,6 @@ from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .plan import Where
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -202,14 +201,6 @@ class Collection(tuple[Source, ...]):
     @functools.cached_property
     def _index(self) -> Footprints:
         return Footprints(self.footprints)
-
-    @functools.cached_property
-    def where(self) -> Where:
-        """Where the points lie. Raises: InputError as :attr:`units`."""
-        from .plan import Where
-
-        found = {n: squares for n, source in enumerate(self) if (squares := squares_of(source)) is not None}
-        return Where.from_files(self.footprints, self.counts, self.metre, found)
 
     def within(self, box: Bounds) -> np.ndarray:
         """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers.

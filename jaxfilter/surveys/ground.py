@@ -22,8 +22,7 @@ from .collection import Collection
 from .kept import WaterWanted, check_shapes, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .plan import Cut
-from .product import FileTask, Product, packed
+from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
 from .small import carry_out
 from .survey import survey_of_points

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from ..files.disk import Bounds
 from ..files.sources import read_window
 from .collection import Collection
 from .tiles import joined
+
+if TYPE_CHECKING:
+    from .plan import Where
 
 _WINDOWS, _POINTS, _SMALL = 9, 20_000, 2_000_000
 """Windows of a sample, points expected in each, and points of a scene that is measured as a whole, as in memory."""
@@ -98,6 +101,7 @@ class Sampler:
 
     collection: Collection
     reading: Reading
+    where: Where
 
     def clouds(self, each: int = _POINTS, most: int = 0) -> list[PointCloud]:
         """Windows of about ``each`` points, which are spread evenly over the points, of at least two.
@@ -105,7 +109,7 @@ class Sampler:
         A collection of ``most`` points or fewer that fill its extent is its own sample, in one piece, however few they are.
         Files that cannot be read are passed over.
         """
-        where, total = self.collection.where, self.collection.count
+        where, total = self.where, self.collection.count
         if not len(where.points):
             return []
         if total <= most and where.fills:
@@ -155,7 +159,7 @@ class Sampler:
         whole = self.sample[1]
 
         def some(points: int) -> list[PointCloud]:
-            entire = self.collection.count <= min(points, _SMALL) and self.collection.where.fills
+            entire = self.collection.count <= min(points, _SMALL) and self.where.fills
             clouds = self.sample[0] if entire else self.clouds(points // _WINDOWS, points)
             return [dataclasses.replace(cloud, whole=whole) for cloud in clouds]
 

@@ -30,8 +30,7 @@ from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
-from .plan import Cut
-from .product import KEPT
+from .product import KEPT, Cut
 from .report import RunReport, Summary
 from .small import carry_out
 from .surroundings import FIND_GROUND, HALOS, GroundNeeded, GroundSource, source_of_ground

@@ -15,38 +15,22 @@ import numpy as np
 
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
-from ..files.sources import SQUARE, WHOLE, Squares, square_keys
+from ..files.sources import SCATTERED, SQUARE, WHOLE, Squares, square_keys, squares_of
+from .collection import Collection
+from .product import Cut
 
 TILE_POINTS = 7_000_000
 """Points of core and halo of a tile, at most, unless halos hold too many of them."""
 MOST_READ = 2.5
 """Times that a tile may be read in parts instead of in one piece, halos included, so that each part has fewer points."""
 MOST_TILES, _MOST_SQUARES = 20_000_000, 1_000_000
-SCATTERED, _NEAR = 4.0, 1000.0
-"""A tile is cut further if it is so many times as large as what its points fill, and larger than a square of so many metres."""
+_NEAR = 1000.0
+"""Metres: points in a square of this side are not scattered."""
 _ROUNDED, _SLACK = 0.01, 0.005
 """Units by which bounds in headers may be off, and by which coordinates are rounded at most."""
 
 Lists = list[np.ndarray]
 """Numbers of files for each tile, or of tiles for each file, i64, ascending."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Cut:
-    """What decides on tiles, in metres.
-
-    Attributes:
-        halo: how far around a tile points are read as well. lattice: tiles and windows end at multiples of it.
-        reach: how far around a tile files may be asked for, by default as far as the halo.
-        beyond: how far around points something is made.
-        boxes: the tiles themselves, f64[t, 2, 4], core and window of each, file units; then nothing else counts.
-    """
-
-    halo: float
-    lattice: float
-    reach: float | None = None
-    beyond: float = 0.0
-    boxes: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -118,6 +102,12 @@ class Where:
         low, high = self.low[rows], self.high[rows]
         extent, squares = (high.max(axis=0) - low.min(axis=0)).prod(), (high - low).prod(axis=1).sum()
         return bool(extent * self.metre**2 <= max(_NEAR**2, SCATTERED * squares * self.metre**2))
+
+
+def where_of(files: Collection) -> Where:
+    """Where the points of a collection lie. Raises: InputError if its files differ in units."""
+    found = {n: squares for n, source in enumerate(files) if (squares := squares_of(source)) is not None}
+    return Where.from_files(files.footprints, files.counts, files.metre, found)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -20,7 +20,6 @@ from ..files.sources import Source, file_cloud
 from ..files.storage import Place
 from .collection import Collection
 from .options import RunOptions
-from .plan import Cut
 from .report import RunReport, Summary, collected_warnings
 from .targets import Targets
 from .tiles import Around, Memory, Tile
@@ -43,6 +42,24 @@ class FileTask:
     tiles: tuple[int, ...]
     target: Place
     how: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """What decides on tiles, in metres.
+
+    Attributes:
+        halo: how far around a tile points are read as well. lattice: tiles and windows end at multiples of it.
+        reach: how far around a tile files may be asked for, by default as far as the halo.
+        beyond: how far around points something is made.
+        boxes: the tiles themselves, f64[t, 2, 4], core and window of each, file units; then nothing else counts.
+    """
+
+    halo: float
+    lattice: float
+    reach: float | None = None
+    beyond: float = 0.0
+    boxes: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -34,8 +35,8 @@ from .collection import Collection
 from .executors import Executor, Outcome, Task, carried_out
 from .measures import Recipe, Sampler, middle, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
-from .plan import Cut, Plan, plan_tiles
-from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
+from .plan import Plan, Where, plan_tiles, where_of
+from .product import Cut, FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
 from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .survey import Survey
@@ -60,6 +61,11 @@ class TiledSurvey(Survey):
     """A survey that is done in tiles."""
 
     targets: Claim
+
+    @functools.cached_property
+    def where(self) -> Where:
+        """Where the points lie. Raises: InputError."""
+        return where_of(self.collection)
 
     def carried_out(self, product: Product) -> RunReport:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns, raises: as ``carry_out``."""
@@ -127,7 +133,7 @@ class TiledSurvey(Survey):
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
-        plan = plan_tiles(files.where, cut, options.tile)
+        plan = plan_tiles(self.where, cut, options.tile)
         if cut.boxes is not None:
             return plan
         if self.reading.aoi is not None:
@@ -153,14 +159,14 @@ class TiledSurvey(Survey):
             found = facts["parameters"]
             return FILTERS[found["method"]](**found["fields"]), whole
         filter_ = recipe.alone()
-        if self.options.tile is None and self.collection.count <= WHOLE and self.collection.where.fills:
+        if self.options.tile is None and self.collection.count <= WHOLE and self.where.fills:
             if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
                 used = tuple(np.flatnonzero(self.collection.counts).tolist())
                 sources = tuple(self.collection[number] for number in used)
                 everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
                 filter_ = recipe.on(read_tile(everything, self.reading, whole, keep=True).cloud)
             return filter_, whole
-        sampler = Sampler(self.collection, self.reading)
+        sampler = Sampler(self.collection, self.reading, self.where)
         if filter_ is None or recipe.by_data:
             filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole

@@ -32,7 +32,7 @@ def carry_out(survey: Survey, product: Product) -> Any:
         if is_copc(place) and source.point_format is not None:
             check_format(place, source.point_format)
     small = len(files) == 1 and files.count <= WHOLE and options.tile is None and not options.dry_run
-    if small and (squares_of(files[0]) is None or files.where.fills):
+    if small and squares_of(files[0]) is None:
         return in_memory(survey, product)
     from .run import in_tiles
 

@@ -16,8 +16,8 @@ from ..core.result import FilterResult
 from ..files.disk import Bounds
 from ..terrain.interpolation import Heights, Linear
 from .measures import Recipe, recipe_of
-from .plan import Cut, window_around
-from .product import Product
+from .plan import window_around
+from .product import Cut, Product
 from .report import Summary
 from .tiles import LOCAL, Around, Tile, inside
 
