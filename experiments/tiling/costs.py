@@ -155,7 +155,7 @@ def _planned(filter_: jf.Filter, density: float, per_read: float) -> Row:
     area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1))
     hours = side**2 * count * times * per_read / 3600
     found = {"halo": filter_.halo(), "tile": math.sqrt(area), "tiles": len(plan), "times": times, "hours": hours}
-    return found | {"worker": need(plan) / 1e9}
+    return found | {"worker": need(plan.points.max()) / 1e9}
 
 
 def cost(method: str, path: Path, work: Path, warm: bool = False) -> Row:

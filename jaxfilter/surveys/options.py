@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..core.errors import ParameterError
 from ..core.filter import check_resources
 from ..core.result import Progress, silent
@@ -16,7 +18,6 @@ from ..files.sources import WHOLE
 
 if TYPE_CHECKING:
     from .executors import Executor
-    from .plan import Plan
     from .report import Standing
 
 _BASE, _PER_POINT, _SHARE = 350e6, 330, 0.7
@@ -75,9 +76,9 @@ class RunOptions:
         check_resources(self.workers, 1.0 if self.memory is None else self.memory)
 
 
-def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:
-    """What does the work: what is given, a cluster, this process, or several, which begin slower than a tile of few points ends.
-    ``progress``: of filters in this process.
+def executor_for(options: RunOptions, points: np.ndarray, progress: Progress = silent) -> Executor:
+    """What does the work: what is given, a cluster, this process, or several, which begin slower than tiles of few points end.
+    ``points``: f64[t], of each tile with its halo; ``progress``: of filters in this process.
 
     Raises: JaxfilterError if workers cannot be started.
     """
@@ -89,28 +90,28 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
         from .dask import Cluster
 
         return Cluster(options.client)
-    count, small = workers_for(options, plan), options.workers is None and plan.points.sum() <= WHOLE
-    if count > 1 and len(plan) > 1 and not small:
+    count, small = workers_for(options, points), options.workers is None and points.sum() <= WHOLE
+    if count > 1 and len(points) > 1 and not small:
         return Pool(count)
     return Here(options.workers, progress)
 
 
-def workers_for(options: RunOptions, plan: Plan) -> int:
+def workers_for(options: RunOptions, points: np.ndarray) -> int:
     """Processes of this machine, or threads for one tile: as many as are asked for, or as there are processors and memory."""
     if options.workers is not None:
         return options.workers
     room = options.memory or _SHARE * free_memory()
-    return min(processors(), max(1, int(room // need(plan))))
+    return min(processors(), max(1, int(room // need(points.max(initial=0.0)))))
 
 
-def need(plan: Plan) -> float:
-    """Bytes of a worker."""
-    return _BASE + _PER_POINT * float(plan.points.max(initial=0.0))
+def need(points: float) -> float:
+    """Bytes of a worker that has so many points of core and halo at a time."""
+    return float(_BASE + _PER_POINT * points)
 
 
 def check_memory(options: RunOptions, points: float) -> None:
     """Raises: ParameterError if the memory does not suffice for a worker that has so many points of core and halo at a time."""
-    needed = _BASE + _PER_POINT * points
+    needed = need(points)
     if options.memory is not None and options.memory < needed:
         raise ParameterError(
             f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {needed:.3g}: pass memory= with "

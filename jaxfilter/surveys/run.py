@@ -115,10 +115,10 @@ class TiledSurvey(Survey):
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
             product, plan = dataclasses.replace(self, targets=targets)._planned(product)
             each = _seconds_per_point(product, plan, collection)
-        many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan)
+        many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan.points)
         area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1)) if many and len(plan) else nan
         side, halo = (math.sqrt(area) * collection.metre, plan.halo) if many else (nan, nan)
-        memory = need(plan) * (workers if many else 1)
+        memory = need(plan.points.max(initial=0.0)) * (workers if many else 1)
         seconds = each * collection.count * times / min(workers, len(plan))
         files = [str(place) for place in targets.places]
         found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
@@ -293,7 +293,7 @@ class Run:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
         if self.targets.in_place:
             self.targets.check_room(dict(self._sizes()))
-        executor = executor_for(self.options, self.plan, self._show_step)
+        executor = executor_for(self.options, self.plan.points, self._show_step)
         try:
             self._find_lowest(executor)
             self._carry_out(executor)
