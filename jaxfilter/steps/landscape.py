@@ -54,10 +54,10 @@ class Landscape:
     def at(self, xyz: np.ndarray) -> np.ndarray:
         """f32[n]: at points f32[n, 3], local metres."""
 
-        def sampled(chunk: np.ndarray) -> tuple[jax.Array]:
+        def sample(chunk: np.ndarray) -> tuple[jax.Array]:
             return (_at_points(self.slope, chunk, self.cells.grid, np.int32(self.block)),)
 
-        return hold_against(xyz, sampled)[0]
+        return hold_against(xyz, sample)[0]
 
 
 @functools.partial(jax.jit, static_argnames=("block", "reach"))
@@ -86,14 +86,14 @@ def _slope(
     level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
     weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * cell * block / sigma) ** 2)
 
-    def averaged(a: jax.Array) -> jax.Array:
+    def average(a: jax.Array) -> jax.Array:
         a = jnp.where(valid, a, 0)
         for _ in range(2):
             a = jax.vmap(lambda line: jnp.convolve(line, weight, precision="highest")[reach : reach + line.size])(a).T
         return a
 
     slope = steepness(level, blocks, cell * block)
-    return averaged(slope) / jnp.maximum(averaged(jnp.ones(shape, jnp.float32)), 1e-6)
+    return average(slope) / jnp.maximum(average(jnp.ones(shape, jnp.float32)), 1e-6)
 
 
 @functools.partial(jax.jit, static_argnames=("shape", "block"))

@@ -15,7 +15,7 @@ AROUND = 25.0
 """Metres around a place in a void within which the lowest point counts, where it may be water."""
 
 
-def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def fill_voids(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points; and
     bool[rows, columns], not padded: cells inside its hull.
 
