@@ -25,7 +25,7 @@ LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 
 
 @filter_params
 class SMRF(GridFilter):
-    """CellDrops of a grid of lowest elevations with growing disks, then a tolerance that grows with the slope.
+    """Openings of a grid of lowest elevations with growing disks, then a tolerance that grows with the slope.
 
     T. J. Pingel, K. C. Clarke, W. A. McBride (2013): An improved simple morphological filter for the terrain classification
     of airborne LIDAR data. ISPRS J. Photogramm. Remote Sens. 77, 21-30. doi:10.1016/j.isprsjprs.2012.12.002
@@ -34,7 +34,7 @@ class SMRF(GridFilter):
     2. Low outliers: cells that one opening of the inverted grid, with a disk of one cell, changes by more than 500 %.
     3. Optional net (``cut``): rows and columns of the grid at this spacing are lowered to its opening with a disk of
        radius 2 ``cut``, so that no building is wider than a mesh.
-    4. CellDrops with disks of 1, 2, ... ceil(window / cell) cells, each of the surface left by the one before. Cells that
+    4. Openings with disks of 1, 2, ... ceil(window / cell) cells, each of the surface left by the one before. Cells that
        the k-th lowers by more than slope x k x cell are objects.
     5. Provisional terrain: empty, low, object and net cells are filled by a membrane.
     6. Ground are the points within threshold + scaling x (slope of the terrain) of the terrain.
