@@ -29,7 +29,7 @@ from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
 from jaxfilter.steps.surfaces import lowest_cells
-from jaxfilter.steps.voids import fill_from_triangulation
+from jaxfilter.steps.voids import fill_voids
 
 ROOFS = Roofs(step=0.3, area=30.0, share=0.6, drop=2.5, drop_share=0.5)
 
@@ -596,7 +596,7 @@ def test_cells_outside_the_hull_are_told(rng, tin_of):
     xyz = points_of(np.column_stack([xy, np.ones(len(xy))]))
     tin = tin_of(xyz)
     cells = cells_of(xyz)
-    inside = fill_from_triangulation(tin, cells, 4, 8.0)[1]
+    inside = fill_voids(tin, cells, 4, 8.0)[1]
     row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
     x, y = cells.grid.x0, cells.grid.y0
     hull = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([column.ravel() + x + 0.5, row.ravel() + y + 0.5])) >= 0
@@ -616,7 +616,7 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
     tin = tin_of(xyz)
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
-    hung, straight = (fill_from_triangulation(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
+    hung, straight = (fill_voids(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
     np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
     expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
     assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4

@@ -410,12 +410,12 @@ Fill = Callable[[jax.Array, jax.Array, jax.Array], Any]
 def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
     """SMRF with another structuring element, or another way to fill holes: a square is as wide as the disk that it replaces."""
 
-    def prepare(self: Any, cells: Cells) -> smrf.Opened:
+    def prepare(self: Any, cells: Cells) -> smrf.CellDrops:
         filled = fill(cells.lowest, cells.seen, cells.valid)
         steepest = steepest_drops(filled, cells.valid, self.reach, self.reach, element)
         return self._open(cells, filled)._replace(steepest=steepest)
 
-    def surface(self: Any, prepared: smrf.Opened) -> Surface:
+    def surface(self: Any, prepared: smrf.CellDrops) -> Surface:
         cells, filled, steepest, bare = prepared[:4]
         terrain = fill(filled, bare & (steepest <= self.slope * self.cell), cells.valid)
         return Surface.over(cells, terrain)

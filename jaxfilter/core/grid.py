@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from typing import Any
 
@@ -17,7 +16,6 @@ MAX_CELLS = 400_000_000
 _PER_POINT, _AT_LEAST = 64, 4_000_000
 
 
-@functools.partial(jax.tree_util.register_dataclass, data_fields=["x0", "y0", "cell", "nx", "ny"], meta_fields=[])
 @dataclasses.dataclass(frozen=True)
 class Grid:
     """``ny`` rows of ``nx`` square cells; the lower left corner of cell (0, 0) lies at (``x0``, ``y0``), local metres. A pytree
@@ -41,14 +39,26 @@ class Grid:
     def places(self, xy: Any) -> tuple[Any, Any]:
         """i32[n], i32[n] row and column of local points [n, >=2], NumPy or JAX; points outside go to the nearest cell."""
         xp = xy.__array_namespace__()
-        x, y = (xp.floor((xy[:, axis] - first) / self.cell) for axis, first in enumerate((self.x0, self.y0)))
-        return xp.clip(y, 0, self.ny - 1).astype(np.int32), xp.clip(x, 0, self.nx - 1).astype(np.int32)
+
+        def along(axis: int, first: Any, count: Any) -> Any:
+            return xp.clip(xp.floor((xy[:, axis] - first) / self.cell).astype(np.int32), 0, count - 1)
+
+        return along(1, self.y0, self.ny), along(0, self.x0, self.nx)
 
     def flat(self, xy: Any, columns: int | None = None) -> Any:
         """i32[n] row-major cell of local points [n, >=2], as for :meth:`places`, in an array of so many columns, by default
         ``nx``."""
         row, column = self.places(xy)
         return row * (columns or self.nx) + column
+
+
+def _leaves(grid: Grid) -> tuple[tuple[Any, ...], None]:
+    """The five numbers; whole ones in 32 bits, whatever JAX makes of those of Python."""
+    counts = (np.int32(count) if isinstance(count, int) else count for count in (grid.nx, grid.ny))
+    return (grid.x0, grid.y0, grid.cell, *counts), None
+
+
+jax.tree_util.register_pytree_node(Grid, _leaves, lambda _, leaves: Grid(*leaves))
 
 
 def most_cells(points: int, limit: int = MAX_CELLS) -> int:

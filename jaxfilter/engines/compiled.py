@@ -43,7 +43,7 @@ def compiled(
     options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # less to compile
     out: Any = numba.njit(**options)(function)
     if out is not function:  # as with NUMBA_DISABLE_JIT
-        out.__class__, out._cache = _Interruptible, _Kept(function)
+        out.__class__, out._cache = _Interruptible, _DiskCache(function)
     return out
 
 
@@ -65,7 +65,7 @@ class _Interruptible(CPUDispatcher):  # type: ignore[misc]
             raise error.__cause__ from None
 
 
-class _Kept(NullCache):  # type: ignore[misc]
+class _DiskCache(NullCache):  # type: ignore[misc]
     """Machine code of a function on disk: a file for the types of its arguments, which holds the SHA-256 of what follows, the
     stamp, and the code.
 

@@ -36,7 +36,7 @@ from ..steps.pruning import Scatter, prune
 from ..steps.seeds import rising, veiled
 from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
-from ..steps.voids import fill_from_triangulation, lower_voids
+from ..steps.voids import fill_voids, lower_voids
 from ..steps.water import AFLOAT, SURFACE, waters
 from .papers import bibtex
 
@@ -350,7 +350,7 @@ class OST(Filter):
             cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
-        z, inside = fill_from_triangulation(
+        z, inside = fill_voids(
             triangulated(points.xyz[lowest], workers), cells, math.ceil(VOID_RIM / self.cell - 1e-6), longest
         )
         progress(0.2, "openings")

@@ -113,18 +113,18 @@ class SMRF(GridFilter):
         check_openings(cells, self.reach, points, f"SMRF(cell={self.cell:g}, window={self.window:g})")
         return cells
 
-    def prepare(self, cells: Cells) -> Opened:
+    def prepare(self, cells: Cells) -> CellDrops:
         """Steps 1 to 4, for all slopes at once. Pure."""
         return self._open(cells, _span_membrane(cells.lowest, cells.lowest, cells.seen, cells, math.inf)[0].z)
 
-    def _open(self, cells: Cells, surface: jax.Array) -> Opened:
-        return _open_cells(cells, surface, self.reach, most=roomy(self.reach), mesh=self.mesh)
+    def _open(self, cells: Cells, surface: jax.Array) -> CellDrops:
+        return _cell_drops(cells, surface, self.reach, most=roomy(self.reach), mesh=self.mesh)
 
-    def surface(self, prepared: Opened) -> Surface:
+    def surface(self, prepared: CellDrops) -> Surface:
         """Step 5, the provisional terrain. Pure."""
         return self._terrain(prepared, self.slope)
 
-    def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
+    def _terrain(self, prepared: CellDrops, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts = prepared
         terrain, objects = _span_membrane(
@@ -132,7 +132,7 @@ class SMRF(GridFilter):
         )  # as in prepare(), so that it is compiled once
         return terrain._replace(counts={**counts, "object_cells": objects})
 
-    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[Any]:
+    def _deciding(self, prepared: CellDrops, sets: Sequence[Self]) -> list[Any]:
         """How many cells are left: of slopes between which there is none the terrain is the same."""
         if (type(self).surface, type(self)._terrain) != (SMRF.surface, SMRF._terrain):
             return super()._deciding(prepared, sets)
@@ -144,7 +144,7 @@ class SMRF(GridFilter):
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         return _test_points(surface, xyz, self.threshold, self.scaling)
 
-    def _soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+    def _soft(self, prepared: CellDrops, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
         surface as it is. A terrain changes in jumps. So it is made at two neighbours in a series of slopes, each 19 % larger
@@ -166,7 +166,7 @@ class SMRF(GridFilter):
         return is_object * as_object + (1 - is_object) * as_terrain
 
 
-class Opened(NamedTuple):
+class CellDrops(NamedTuple):
     """What the openings tell of cells, whatever the largest slope of terrain: a pytree.
 
     Attributes:
@@ -185,7 +185,7 @@ class Opened(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames=("most", "mesh"))
-def _open_cells(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
+def _cell_drops(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> CellDrops:
     """Steps 2 to 4, of the surface without empty cells. ``most``: the largest ``reach`` that this compilation serves."""
     valid, cell = jnp.asarray(cells.valid), cells.grid.cell
     low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
@@ -197,7 +197,7 @@ def _open_cells(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: 
     drops = jnp.where(valid, steepest_drops(cut, valid, reach, most), 0)
     counted = {"cells": valid, "empty_cells": valid & ~cells.seen, "low_cells": low}
     counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
-    return Opened(cells, surface, jnp.where(net, jnp.inf, drops), ~low & ~net & cells.seen, counts)
+    return CellDrops(cells, surface, jnp.where(net, jnp.inf, drops), ~low & ~net & cells.seen, counts)
 
 
 @jax.jit

@@ -46,12 +46,12 @@ class Surface(NamedTuple):
     @classmethod
     def over(cls, cells: Cells, z: jax.Array, limits: Any = None, counts: dict[str, Any] | None = None) -> Surface:
         """Elevations of cells, f32[rows, columns], with their slopes."""
-        return cls(z, steepness(z, cells.grid.shape, cells.grid.cell), cells.grid, limits, counts or {})
+        return cls(z, steepness(z, cells.grid), cells.grid, limits, counts or {})
 
     def at(self, xyz: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
         """Height of points f32[n, 3] above the surface, metres, and its slope, rise over run; bilinear between cell centres."""
         xyz = jnp.asarray(xyz)
-        at = (xyz[:, :2] - jnp.stack([self.grid.x0, self.grid.y0])) / self.grid.cell - 0.5
+        at = (xyz[:, :2] - jnp.stack([self.grid.x0, self.grid.y0])[None]) / self.grid.cell - 0.5
         sample = bilinear(at, jnp.stack(self.grid.shape), self.z.shape[1])
         return xyz[:, 2] - sample(self.z), sample(self.slope)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -44,28 +43,27 @@ class Landscape:
         block = max(1, round(_BLOCK / cell))
         reach = min(math.ceil(3 * sigma / (block * cell)), -(-max(z.shape) // block))  # nothing lies beyond the array
         known = cells.seen, cells.valid, objects
-        slope = _slope(z, known, cells.grid.shape, np.float32(cell), np.float32(sigma), block, reach)
+        slope = _slope(z, known, cells.grid, np.float32(sigma), block, reach)
         return cls(slope, cells, block)
 
     def in_cells(self) -> jax.Array:
         """f32[rows, columns]: in each cell, padded cells included."""
-        return _in_cells(self.slope, self.cells.grid.shape, self.cells.lowest.shape, self.block)
+        return _in_cells(self.slope, self.cells.grid, self.cells.lowest.shape, self.block)
 
     def at(self, xyz: np.ndarray) -> np.ndarray:
         """f32[n]: at points f32[n, 3], local metres."""
 
-        def sampled(chunk: np.ndarray) -> tuple[jax.Array]:
+        def sample(chunk: np.ndarray) -> tuple[jax.Array]:
             return (_at_points(self.slope, chunk, self.cells.grid, np.int32(self.block)),)
 
-        return hold_against(xyz, sampled)[0]
+        return hold_against(xyz, sample)[0]
 
 
 @functools.partial(jax.jit, static_argnames=("block", "reach"))
 def _slope(
     z: jax.Array,
     masks: tuple[jax.Array, jax.Array, jax.Array],
-    extent: tuple[Any, Any],
-    cell: jax.Array,
+    grid: Grid,
     sigma: jax.Array,
     block: int,
     reach: int,
@@ -81,25 +79,25 @@ def _slope(
         return wide.reshape(shape[0], block, shape[1], block).sum(axis=(1, 3))
 
     count = sums(known.astype(jnp.float32))
-    blocks = -(-jnp.asarray(extent) // block)
+    blocks = -(-jnp.stack(grid.shape) // block)
     valid = inside(shape, blocks)
     level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
-    weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * cell * block / sigma) ** 2)
+    weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * grid.cell * block / sigma) ** 2)
 
-    def averaged(a: jax.Array) -> jax.Array:
+    def average(a: jax.Array) -> jax.Array:
         a = jnp.where(valid, a, 0)
         for _ in range(2):
             a = jax.vmap(lambda line: jnp.convolve(line, weight, precision="highest")[reach : reach + line.size])(a).T
         return a
 
-    slope = steepness(level, blocks, cell * block)
-    return averaged(slope) / jnp.maximum(averaged(jnp.ones(shape, jnp.float32)), 1e-6)
+    slope = steepness(level, Grid(grid.x0, grid.y0, grid.cell * block, blocks[1], blocks[0]))
+    return average(slope) / jnp.maximum(average(jnp.ones(shape, jnp.float32)), 1e-6)
 
 
 @functools.partial(jax.jit, static_argnames=("shape", "block"))
-def _in_cells(slope: jax.Array, extent: tuple[Any, Any], shape: tuple[int, int], block: int) -> jax.Array:
+def _in_cells(slope: jax.Array, grid: Grid, shape: tuple[int, int], block: int) -> jax.Array:
     """As :func:`bilinear` at the centres of cells, which form rows and columns: along these first, then across."""
-    blocks = -(-jnp.asarray(extent) // block)
+    blocks = -(-jnp.stack(grid.shape) // block)
 
     def between(axis: int) -> tuple[jax.Array, jax.Array, jax.Array]:
         last = blocks[axis] - 1
@@ -115,5 +113,5 @@ def _in_cells(slope: jax.Array, extent: tuple[Any, Any], shape: tuple[int, int],
 
 @jax.jit
 def _at_points(slope: jax.Array, xyz: jax.Array, grid: Grid, block: jax.Array) -> jax.Array:
-    at = (xyz[:, :2] - jnp.stack([grid.x0, grid.y0])) / (grid.cell * jnp.asarray(block, grid.cell.dtype)) - 0.5
+    at = (xyz[:, :2] - jnp.stack([grid.x0, grid.y0])[None]) / (grid.cell * jnp.asarray(block, grid.cell.dtype)) - 0.5
     return bilinear(at, -(-jnp.stack(grid.shape) // block), slope.shape[1])(slope)

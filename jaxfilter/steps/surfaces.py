@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -160,15 +159,15 @@ def steepest_drops(
 
 
 @jax.jit
-def steepness(z: jax.Array, extent: tuple[Any, Any] | jax.Array, cell: jax.Array) -> jax.Array:
-    """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
+def steepness(z: jax.Array, grid: Grid) -> jax.Array:
+    """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border of the grid."""
 
     def difference(axis: int) -> jax.Array:
         here = jax.lax.broadcasted_iota(jnp.int32, z.shape, axis)
-        first, last = here == 0, here == extent[axis] - 1
+        first, last = here == 0, here == grid.shape[axis] - 1
         after = jnp.where(last, z, jnp.roll(z, -1, axis))
         before = jnp.where(first, z, jnp.roll(z, 1, axis))
-        return (after - before) / (cell * jnp.where(first | last, 1, 2))
+        return (after - before) / (grid.cell * jnp.where(first | last, 1, 2))
 
     return jnp.hypot(difference(0), difference(1))
 

@@ -15,7 +15,7 @@ VOID_REACH = 25.0
 """Metres around a place in a void within which the lowest point counts, where it may be water."""
 
 
-def fill_from_triangulation(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def fill_voids(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points; and
     bool[rows, columns], not padded: cells inside its hull.
 

@@ -109,7 +109,7 @@ def _at(border: jax.Array, step: int, columns: int) -> jax.Array:
     return lax.slice_in_dim(border, columns + step, len(border) - columns + step)
 
 
-def _bordered(a: jax.Array, columns: int) -> jax.Array:
+def _with_border(a: jax.Array, columns: int) -> jax.Array:
     """Values by rows, with a row of zeros before the first and after the last.
 
     So the neighbours of all cells are slices, which processors read fastest. Beyond the end of a row lies the beginning of the
@@ -136,7 +136,7 @@ def _around(cells: _Pair, side: int, columns: int) -> tuple[tuple[jax.Array, ...
     )
 
 
-def _shifted(a: jax.Array, rows: int, columns: int) -> jax.Array:
+def _shift(a: jax.Array, rows: int, columns: int) -> jax.Array:
     """a[i + rows, j + columns]; zero beyond the border."""
     others = ((0, 0, 0),) * (a.ndim - 2)
     return lax.pad(a, jnp.zeros((), a.dtype), ((-rows, rows, 0), (-columns, columns, 0), *others))
@@ -158,7 +158,7 @@ def _spread(a: jax.Array, factors: _Factors) -> jax.Array:
 
 def _near(cells: tuple[_Pair, _Pair], colour: int, columns: int) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
     """Around the cells of one colour, numbers of neighbours of a kind, bool by rows, as f32."""
-    there = _each(lambda a: _bordered(a.astype(jnp.float32), columns), cells[1 - colour])
+    there = _each(lambda a: _with_border(a.astype(jnp.float32), columns), cells[1 - colour])
     return _around(there, 2 * colour - 1, columns)
 
 
@@ -186,7 +186,7 @@ def _first_level(holes: tuple[_Pair, _Pair], knowns: tuple[_Pair, _Pair], shape:
     fixed = [
         _each(lambda hole, near: jnp.where(hole, _sum(near), 0), holes[k], _near(knowns, k, columns)) for k in range(2)
     ]
-    a, b, c, d = (_bordered(hole.astype(jnp.float32), columns) for hole in (a, b, c, d))
+    a, b, c, d = (_with_border(hole.astype(jnp.float32), columns) for hole in (a, b, c, d))
     right = (_at(c, 0, columns) * _at(a, 1, columns) + _at(b, 0, columns) * _at(d, 1, columns)) / 2
     up = (_at(d, 0, columns) * _at(a, columns, columns) + _at(b, 0, columns) * _at(c, columns, columns)) / 2
     return _level(_sum(jax.tree.leaves(fixed)), right, up, shape)
@@ -194,7 +194,7 @@ def _first_level(holes: tuple[_Pair, _Pair], knowns: tuple[_Pair, _Pair], shape:
 
 def _level(anchors: jax.Array, right: jax.Array, up: jax.Array, shape: tuple[int, int]) -> _Level:
     """By rows: stiffness towards known cells, towards the hole to the right, and towards that in the next row."""
-    right, up = _bordered(right, shape[1]), _bordered(up, shape[1])
+    right, up = _with_border(right, shape[1]), _with_border(up, shape[1])
     to_holes = _sum(_at(right, -k, shape[1]) + _at(up, -k * shape[1], shape[1]) for k in range(2))
     return _Level(right, up, anchors + to_holes, shape)
 
@@ -202,14 +202,14 @@ def _level(anchors: jax.Array, right: jax.Array, up: jax.Array, shape: tuple[int
 def _coarser(level: _Level, factors: _Factors) -> _Level:
     """The next level: springs that cross between its cells, weakened in proportion to their new length."""
     (right, up), (tall, wide) = (_grid(_at(a, 0, level.shape[1]), level.shape) for a in level[:2]), factors
-    to_holes = right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0)
+    to_holes = right + _shift(right, 0, -1) + up + _shift(up, -1, 0)
     anchors = _flat(_pool(_grid(level.total, level.shape) - to_holes, factors))
     right = _block_sums(right[:, wide - 1 :: wide], 0, tall) / wide
     up = _block_sums(up[tall - 1 :: tall], 1, wide) / tall
     return _level(anchors, _flat(right), _flat(up), (right.shape[0], right.shape[1]))
 
 
-def _corrected(levels: list[_Level], force: jax.Array) -> jax.Array:
+def _correct(levels: list[_Level], force: jax.Array) -> jax.Array:
     """Approximate solution for a force by rows on a coarse level; linear and symmetric in the force."""
     right, up, total, (rows, columns) = levels[0]
 
@@ -233,7 +233,7 @@ def _corrected(levels: list[_Level], force: jax.Array) -> jax.Array:
         x, other = smooth_twice(0, state)
         factors = rows // levels[1].shape[0], columns // levels[1].shape[1]
         rest = _grid(force - total * _at(x, 0, columns) + pull(x), (rows, columns))
-        coarse = _grid(_corrected(levels[1:], _flat(_pool(rest, factors))), levels[1].shape)
+        coarse = _grid(_correct(levels[1:], _flat(_pool(rest, factors))), levels[1].shape)
         correction = jnp.where(total > 0, _flat(_spread(coarse, factors)), 0)
         return smooth_twice(0, (_put(x, _at(x, 0, columns) + correction, columns), other))
 
@@ -320,16 +320,16 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     shape = (rows + margin[0][1]) // _FACTOR, (columns + margin[1][1]) // _FACTOR
     wide, found = shape[1], known.any()
 
-    def prepared(a: jax.Array) -> tuple[_Pair, _Pair]:
+    def quarters_of(a: jax.Array) -> tuple[_Pair, _Pair]:
         a = jnp.pad(a, [*margin, *[(0, 0)] * (a.ndim - 2)])
         return _quarters(a.reshape(*a.shape, *(1,) * (known.ndim - a.ndim)))
 
-    def settled(a: T) -> T:
+    def settle(a: T) -> T:
         """The same arrays, in memory: else what a stencil reads is computed anew for each of its cells."""
         return lax.cond(found, lambda a: a, lambda a: jax.tree.map(jnp.zeros_like, a), a)
 
-    def bordered(a: _Pair) -> _Pair:
-        return _each(lambda a: _bordered(a.astype(z.dtype), wide), a)
+    def with_borders(a: _Pair) -> _Pair:
+        return _each(lambda a: _with_border(a.astype(z.dtype), wide), a)
 
     def put(border: _Pair, values: _Pair) -> _Pair:
         return _each(lambda border, values: _put(border, values, wide), border, values)
@@ -338,17 +338,17 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         return _each(lambda border: _at(border, 0, wide), border)
 
     insides, knowns = (
-        prepared(inside),
-        prepared(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim))),
+        quarters_of(inside),
+        quarters_of(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim))),
     )
     holes = jax.tree.map(lambda there, known: there & ~known, insides, knowns)
-    heights = jax.tree.map(lambda known, z: jnp.where(known, z, 0), knowns, prepared(z))
+    heights = jax.tree.map(lambda known, z: jnp.where(known, z, 0), knowns, quarters_of(z))
     pooled = _sum(jax.tree.leaves(heights)), _sum(cells.astype(z.dtype) for cells in jax.tree.leaves(knowns))
-    guess = settled(_flat(_first_guess(*settled((_grid(pooled[0], shape), _grid(pooled[1], shape))), plan)))
+    guess = settle(_flat(_first_guess(*settle((_grid(pooled[0], shape), _grid(pooled[1], shape))), plan)))
     start = jax.tree.map(lambda hole, z: jnp.where(hole, guess, z), holes, heights)
     levels = [_first_level(holes, knowns, shape)]
     for factors in plan:
-        levels[-1] = _Level(*settled(levels[-1][:3]), levels[-1].shape)
+        levels[-1] = _Level(*settle(levels[-1][:3]), levels[-1].shape)
         levels.append(_coarser(levels[-1], factors))
     black_hole, (black_total, red_total) = holes[0], _totals(holes, insides, wide)
 
@@ -370,7 +370,7 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         open_ = before > goal  # a grid that is done stays as it is until the others are
         step = put(step, _each(jnp.divide, force, black_total))
         red = reds(step, red)
-        coarse = _corrected(levels, _sum(pulls(red)))
+        coarse = _correct(levels, _sum(pulls(red)))
         step = put(step, _each(lambda h, f, t: jnp.where(h, f / t + coarse, 0), black_hole, force, black_total))
         red = reds(step, red)
         step = put(step, _each(lambda f, p, t: (f + p) / t, force, pulls(red), black_total))
@@ -398,7 +398,7 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         x, _, _, _, other, _, error, rounds, _ = lax.while_loop(unfinished, advance, begin)
         return _each(jnp.add, black, x), _each(jnp.add, red, reds(x, other, red_force)), error, rounds
 
-    state = bordered(start[0]), bordered(start[1]), jnp.full(known.shape[2:], jnp.inf, z.dtype), jnp.int32(0)
+    state = with_borders(start[0]), with_borders(start[1]), jnp.full(known.shape[2:], jnp.inf, z.dtype), jnp.int32(0)
     black, red, error, rounds = lax.fori_loop(0, 2, refine, state)
     return Membrane(_whole(at(black), at(red), shape)[:rows, :columns], error, rounds)
 

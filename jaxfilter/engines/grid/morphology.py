@@ -33,7 +33,7 @@ _CROSS = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
 _STRIP = 2**19  # cells that a processor keeps close while it goes over them again and again
 
 
-def _ordered(z: jax.Array, dtype: Any = None) -> jax.Array:
+def _order(z: jax.Array, dtype: Any = None) -> jax.Array:
     """Integers in the order of floating-point numbers without NaN, or back to those of a ``dtype``; integers as they are.
 
     Processors take the lower of two integers in one step, of two floating-point numbers, with NaN in mind, in several.
@@ -60,7 +60,7 @@ def _beyond(z: jax.Array) -> jax.Array:
     return jnp.array(most, z.dtype)
 
 
-def _bordered(z: jax.Array, width: int, rows: int | None = None) -> jax.Array:
+def _with_border(z: jax.Array, width: int, rows: int | None = None) -> jax.Array:
     """With what lies beyond the border around it, so many cells wide, for a grid of so many rows."""
     border = jnp.full(((rows or z.shape[0]) + 2 * width, z.shape[1] + 2 * width), _beyond(z))
     return lax.dynamic_update_slice(border, z, (width, width))  # in a quarter of the time of jnp.pad
@@ -70,13 +70,13 @@ def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> 
     """Strip by strip, since all runs of a strip fit into a processor's cache; elsewhere the whole is one strip."""
     rows, columns = z.shape
     if reach == 1:  # a disk or diamond of one cell is the cross
-        near = _bordered(z, 1)
+        near = _with_border(z, 1)
         cross = (lax.slice(near, (1 + i, 1 + j), (1 + i + rows, 1 + j + columns)) for i, j in _CROSS)
         return jnp.where(radius > 0, functools.reduce(jnp.minimum, cross), z)
     tall = max(_STRIP // columns, 2 * reach, 1) if jax.default_backend() == "cpu" else rows
     strips = -(-rows // tall)
     tall = -(-rows // strips)
-    border = _bordered(z, reach, strips * tall)
+    border = _with_border(z, reach, strips * tall)
     if strips == 1:
         return _erode_strip(border, radius, reach, diamond)
 
@@ -158,16 +158,16 @@ def _erode_run(z: jax.Array, radius: jax.Array, reach: int, axis: int) -> jax.Ar
     return lax.dynamic_slice(minima, _along(axis, reach - radius), z.shape)
 
 
-def _eroded(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Array:
+def _erode(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Array:
     """:func:`erosion` of integers."""
     if element in ("disk", "diamond"):
         return _erode_round(z, radius, reach, element == "diamond")
     return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
 
 
-def _dilated(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
+def _dilate(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
     """The dilation of integers of ``valid`` cells. Their complements have the opposite order."""
-    return ~_eroded(jnp.where(valid, ~z, _beyond(z)), radius, reach, element)
+    return ~_erode(jnp.where(valid, ~z, _beyond(z)), radius, reach, element)
 
 
 @functools.cache
@@ -191,13 +191,13 @@ def _rims(reach: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(cells, np.int32).reshape(-1, 2), np.array(starts, np.int32)
 
 
-def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
+def _grow(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
     """The erosion of ``z`` with a disk, by that with the disk whose radius is less by one.
 
     Five of the smaller disks, moved by one cell at most, leave little of the larger one: 8 cells of 1,009 at radius 18.
     """
     cells, starts = (jnp.asarray(table) for table in _rims(reach))
-    (rows, columns), near, border = z.shape, _bordered(eroded, 1), _bordered(z, reach)
+    (rows, columns), near, border = z.shape, _with_border(eroded, 1), _with_border(z, reach)
     moved = (lax.slice(near, (1 + i, 1 + j), (1 + i + rows, 1 + j + columns)) for i, j in _CROSS)
 
     def rim(step: jax.Array, out: jax.Array) -> jax.Array:
@@ -242,7 +242,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
     >>> morphology.erosion(z, 1, reach=4).astype(int).tolist()[2]
     [0, -3, -3, -3, 0]
     """
-    return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
+    return _order(_erode(_order(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
 @operation(z=_REAL, radius="int[]", reach=0, element=_ELEMENTS)
@@ -254,7 +254,7 @@ def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "
     >>> morphology.dilation(z, 1, reach=4).astype(int).tolist()[2]
     [0, 3, 3, 3, 0]
     """
-    return _ordered(~_eroded(~_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
+    return _order(~_erode(~_order(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
 @operation(z=_REAL, radius="int[]", reach=0, element=_ELEMENTS, valid=MASK)
@@ -272,9 +272,9 @@ def opening(
     0.0
     """
     there = jnp.ones(jnp.shape(z), bool) if valid is None else valid
-    radius, level = jnp.asarray(radius, jnp.int32), _ordered(z)
-    eroded = _eroded(jnp.where(there, level, _beyond(level)), radius, reach, element)
-    return _ordered(jnp.where(there, _dilated(eroded, radius, reach, element, there), level), z.dtype)
+    radius, level = jnp.asarray(radius, jnp.int32), _order(z)
+    eroded = _erode(jnp.where(there, level, _beyond(level)), radius, reach, element)
+    return _order(jnp.where(there, _dilate(eroded, radius, reach, element, there), level), z.dtype)
 
 
 @takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS, count="int[]")
@@ -319,21 +319,21 @@ def progressive_opening(
     def eroded(k: jax.Array, before: jax.Array, smaller: jax.Array) -> jax.Array:
         there = jnp.where(valid, before, _beyond(before))
         if element != "disk":
-            return _eroded(there, radii[k], reach, element)
+            return _erode(there, radii[k], reach, element)
         # An opening leaves the erosion with its disk as it was, so that the next erosion can begin with that.
         first = jnp.where(k == 0, 0, radii[k - 1])
-        return lax.fori_loop(first + 1, radii[k] + 1, lambda radius, out: _grown(out, there, radius, reach), smaller)
+        return lax.fori_loop(first + 1, radii[k] + 1, lambda radius, out: _grow(out, there, radius, reach), smaller)
 
     def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array, T]) -> tuple[jax.Array, jax.Array, T]:
         before, smaller, found = state
         lowest = eroded(k, before, smaller)
-        opened = jnp.where(valid, _dilated(lowest, radii[k], reach, element, valid), before)
-        return opened, lowest, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
+        opened = jnp.where(valid, _dilate(lowest, radii[k], reach, element, valid), before)
+        return opened, lowest, look(k, _order(before, z.dtype), _order(opened, z.dtype), found)
 
-    start = _ordered(z)
+    start = _order(z)
     number = len(radii) if count is None else count
     last, _, found = lax.fori_loop(0, number, open_once, (start, jnp.where(valid, start, _beyond(start)), found))
-    return _ordered(last, z.dtype), found
+    return _order(last, z.dtype), found
 
 
 @operation(z="f32[rows, columns]", valid=MASK, radii="int[n]", heights="number[n]", reach=0, element=_ELEMENTS)

@@ -76,10 +76,10 @@ def with_elevation(border: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, outliers: Outliers) -> Network:
     """All points in one sheet: ``seeds``, i64[s], are rows of them, ``border``, f32[b, 2], positions around them."""
     sheet = np.arange(len(points)), np.ones(len(points), bool), with_elevation(border, points.xyz[seeds])
-    return _joined(points, [sheet], seeds, outliers)
+    return _join(points, [sheet], seeds, outliers)
 
 
-def _joined(
+def _join(
     points: Points, sheets: list[tuple[np.ndarray, np.ndarray, np.ndarray]], seeds: np.ndarray, outliers: Outliers
 ) -> Network:
     """Sheets, each of points i64[n], ascending, of which some are open, bool[n], and of border nodes f32[b, 3]."""
@@ -132,7 +132,7 @@ def block_networks(
     seed_xyz = points.xyz[seeds]
     virtual = with_elevation(border, seed_xyz)
     sheets = []
-    for (column, line), inside in _widened(points, edges, overlap):
+    for (column, line), inside in _widen(points, edges, overlap):
         corner = np.array([[edges[0][column], edges[1][line]], [edges[0][column + 1], edges[1][line + 1]]])
         centre = corner.mean(axis=0)
         close = seeds[((seed_xyz[:, :2] - centre) ** 2).sum(axis=1) <= reach**2]
@@ -143,10 +143,10 @@ def block_networks(
             frame = corner_positions(corner[0] - overlap - PAD, corner[1] + overlap + PAD, PAD)[[0, 1, 3, 2]]
             ring = np.concatenate([ring, with_elevation(frame, seed_xyz)])
         sheets.append((own, np.isin(own, inside, assume_unique=True), ring))
-    return _joined(points, sheets, seeds, outliers)
+    return _join(points, sheets, seeds, outliers)
 
 
-def _widened(points: Points, edges: list[np.ndarray], overlap: float) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+def _widen(points: Points, edges: list[np.ndarray], overlap: float) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
     """Column and line of each block that holds points when it is widened, and their rows, i64, ascending.
 
     ``edges``: of the columns, f64[nx + 1], and of the lines, f64[ny + 1].
