@@ -16,7 +16,6 @@ from jax import lax
 
 from ...core.arrays import GRID, operation
 from ...core.errors import ParameterError, check_positive
-from .morphology import run_minima
 
 _RESOLUTION = 1000  # window and stride count in millimetres
 
@@ -64,15 +63,38 @@ def window_layout(extent: tuple[float, float], window: float, stride: float, nam
     return Windows(block, w // common, s // common, blocks, counts)  # type: ignore[arg-type]
 
 
-def _slide(rank: jax.Array, count: jax.Array, width: int, stride: int, axis: int) -> jax.Array:
-    """Minima of windows along an axis; entries from ``count`` on are those of no window. The last window ends at the border."""
-    every = (slice(None), slice(None, None, stride)) if axis else slice(None, None, stride)
-    reach = min(width, rank.shape[axis])
-    begin = lax.broadcasted_iota(jnp.int32, rank.shape, axis)
-    last = jnp.where(begin >= (count - 1) * stride, rank, rank.size).min(axis=axis, keepdims=True)
-    minima = run_minima(rank, jnp.int32(reach), reach, axis)[every]
-    window = lax.broadcasted_iota(jnp.int32, minima.shape, axis)
-    return jnp.where(window < count - 1, minima, jnp.where(window == count - 1, last, rank.size))
+def _lower(a: tuple[jax.Array, jax.Array], b: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """The lower of two (elevation, index) pairs; of equally low ones that of the lower index."""
+    second = (b[0] < a[0]) | ((b[0] == a[0]) & (b[1] < a[1]))
+    return jnp.where(second, b[0], a[0]), jnp.where(second, b[1], a[1])
+
+
+def _slide(z: jax.Array, index: jax.Array, count: jax.Array, width: int, stride: int) -> tuple[jax.Array, jax.Array]:
+    """Minima of windows along the first axis; entries from ``count`` on are those of no window."""
+    none = jnp.iinfo(jnp.int32).max
+    length = z.shape[0]
+
+    def ahead(pair: tuple[jax.Array, jax.Array], step: int) -> tuple[jax.Array, jax.Array]:
+        step = min(step, length)
+        return tuple(
+            jnp.concatenate([a[step:], jnp.full((step, *a.shape[1:]), fill, a.dtype)])
+            for a, fill in zip(pair, (jnp.inf, none), strict=True)
+        )  # type: ignore[return-value]
+
+    run, pair = 1, (z, index)
+    while 2 * run <= width:
+        pair = _lower(pair, ahead(pair, run))
+        run *= 2
+    pair = _lower(pair, ahead(pair, width - run))
+    begin = jnp.arange(length, dtype=jnp.int32)[:, None]
+    in_last = begin >= (count - 1) * stride
+    last_z = jnp.min(jnp.where(in_last, z, jnp.inf), axis=0, keepdims=True)
+    last_index = jnp.min(jnp.where(in_last & (z == last_z), index, none), axis=0, keepdims=True)
+    window = begin[: pair[0][::stride].shape[0]]
+    return (
+        jnp.where(window < count - 1, pair[0][::stride], jnp.where(window == count - 1, last_z, jnp.inf)),
+        jnp.where(window < count - 1, pair[1][::stride], jnp.where(window == count - 1, last_index, none)),
+    )
 
 
 @operation(lowest=GRID, first="int[rows, columns]", counts="int[2]", width=1, stride=1)
@@ -99,10 +121,6 @@ def window_minima(
     >>> low.tolist(), point[0, :3].tolist()
     ([[1.0, 1.0, 2.0, inf]], [1, 1, 2])
     """
-    order = jnp.lexsort((first.reshape(-1), lowest.reshape(-1)))
-    rank = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=order.dtype)).reshape(lowest.shape)
-    for axis in range(2):
-        rank = _slide(rank, counts[axis], width, stride, axis)
-    cell = jnp.append(order, order.size)[rank]
-    none = jnp.iinfo(first.dtype).max
-    return jnp.append(lowest, jnp.inf)[cell], jnp.append(first, none)[cell]
+    z, index = _slide(lowest, first, counts[0], width, stride)
+    z, index = _slide(z.T, index.T, counts[1], width, stride)
+    return lax.transpose(z, (1, 0)), lax.transpose(index, (1, 0))
