@@ -99,17 +99,13 @@ def lowest_in_cells(index: np.ndarray, z: np.ndarray, cells: int, rows: bool = T
     """
 
     def blocks() -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        for start in range(0, len(z), _BLOCK):
-            part, at, low = (
-                slice(start, start + _BLOCK),
-                np.zeros(_BLOCK, np.int32),
-                np.full(_BLOCK, np.inf, np.float32),
-            )
-            size = len(z[part])
-            at[:size], low[:size] = index[part], z[part]
+        for start in range(0, len(z), block):
+            at, low, part = np.zeros(block, np.int32), np.full(block, np.inf, np.float32), slice(start, start + block)
+            held = len(z[part])
+            at[:held], low[:held] = index[part], z[part]
             yield start, at, low
 
-    size = bucket(cells)
+    size, block = bucket(cells), _BLOCK if len(z) > _BLOCK else _BLOCK // 4
     lowest = jnp.full(size, jnp.inf, jnp.float32)
     for _, at, low in blocks():
         lowest = _lower(lowest, at, low)
