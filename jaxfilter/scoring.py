@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from .core.cloud import QUANTUM, PointCloud
-from .core.compilation import bucket
 from .core.errors import InputError
 from .core.inputs import GROUND_CLASS, class_numbers, is_laspy
-from .core.process import need_threads
 from .core.result import Decision, FilterResult
-from .metrics import confusion_counts
 
 NEVER_CLASSIFIED = 0
 """The ASPRS class of points that nobody has classified."""
@@ -177,7 +174,8 @@ def evaluate(
             counted = counted & reference.candidate
         else:
             raise InputError("candidates_only needs a FilterResult as result or a PointCloud as reference")
-    return Scores.from_confusion(_count(ground, truth, counted))
+    rows = (truth & counted, ~truth & counted)
+    return Scores.from_confusion([[np.count_nonzero(row & one) for one in (ground, ~ground)] for row in rows])
 
 
 def match_points(
@@ -195,8 +193,7 @@ def match_points(
         raise InputError(f"{names[0]} has {n} points and {names[1]} has {m}: they must hold the same points")
     if n == 0:
         return np.zeros(0, np.int64)
-    metres = np.array([reference.units.xy, reference.units.xy, reference.units.z])
-    shift = np.rint((cloud.origin - reference.origin) * metres / QUANTUM) * QUANTUM
+    shift = np.rint((cloud.origin - reference.origin) * reference.units.factor / QUANTUM) * QUANTUM
     ours, theirs = cloud.xyz + shift, reference.xyz.astype(np.float64)
     if np.array_equal(ours, theirs):
         return np.arange(n)
@@ -238,11 +235,3 @@ def reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndar
 
 def _describe(values: np.ndarray) -> str:
     return f"{values.dtype} of shape {values.shape}"
-
-
-def _count(ground: np.ndarray, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Confusion matrix i64[2, 2], counted on the device in bucketed arrays."""
-    need_threads()
-    padded = np.zeros((3, bucket(len(ground))), bool)
-    padded[:, : len(ground)] = ground, truth, counted
-    return np.asarray(confusion_counts(*padded)).astype(np.int64)

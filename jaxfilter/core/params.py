@@ -34,9 +34,7 @@ _DOMAIN = re.compile(rf"(?P<symbol>\w*) ?(?P<range>{_LIMIT}(?: and {_LIMIT})?)? 
 def _field(doc: str, domain: str, default: Any, **more: Any) -> Any:
     found = _DOMAIN.fullmatch(domain)
     if found is None:
-        raise ValueError(
-            f"domain={domain!r}: a symbol, limits and a unit are needed, such as 's > 0 and <= 90 degrees'"
-        )
+        raise ValueError(f"domain={domain!r}: a symbol, limits and a unit are needed, as in 's > 0 and <= 90 degrees'")
     facts = found.groupdict("")
     limits = {sign: float(bound) for sign, bound in map(str.split, re.findall(_LIMIT, facts["range"]))}
     return dataclasses.field(default=default, metadata={"doc": doc, **facts, "limits": limits, **more})
@@ -189,9 +187,8 @@ def filter_params(cls: type[T]) -> type[T]:
     as ``max_angle: float = 25.0``, is another default of that field. JAX rebuilds trees with leaves that no user may give
     (stacked arrays, placeholders); so a tree is rebuilt without ``__post_init__``.
     """
-    own = {name for name, kind in inspect.get_annotations(cls).items() if "ClassVar" not in str(kind)} & vars(
-        cls
-    ).keys()
+    kinds = inspect.get_annotations(cls)
+    own = {name for name in kinds.keys() & vars(cls).keys() if "ClassVar" not in str(kinds[name])}
     for base in filter(dataclasses.is_dataclass, cls.__mro__[1:]):
         for field in dataclasses.fields(base):
             if field.name in own and not isinstance(value := vars(cls)[field.name], dataclasses.Field):

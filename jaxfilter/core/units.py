@@ -390,9 +390,7 @@ def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
     )
 
 
-@functools.lru_cache(maxsize=256)
-def _code(crs: pyproj.CRS) -> tuple[str, str] | None:
-    return crs.to_authority()
+_code = functools.lru_cache(maxsize=256)(pyproj.CRS.to_authority)
 
 
 def _numbers(crs: pyproj.CRS) -> dict[str, float]:

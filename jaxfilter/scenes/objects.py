@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from .lattice import Layer, Nodes, box_of, smooth_noise, uniform
 from .terrain import BRIDGE_AT, BRIDGE_PERIOD, PERIOD, Patch, TerrainSample, quantile
@@ -231,10 +232,7 @@ class Woods:
         self._radius = np.where(self._conifer, 1.3 + 0.075 * tall, 1.5 + 0.13 * tall) * (0.85 + 0.3 * draw[5])
         self._z = np.full(ni * nj, np.nan)
         self._z[kept] = z
-        standing = np.zeros((ni + 2, nj + 2), bool)
-        standing[1:-1, 1:-1] = np.isfinite(self._z).reshape(ni, nj)
-        around = [standing[a : a + ni, b : b + nj] for a in range(3) for b in range(3)]
-        self._near = np.logical_or.reduce(around).ravel()
+        self._near = binary_dilation(np.isfinite(self._z).reshape(ni, nj), np.ones((3, 3))).ravel()
         self._shrubs = smooth_noise(seed, Layer.SHRUBS, box, 4) if layout.low_vegetation else None
         self._shrub_threshold = quantile(1 - layout.low_vegetation)
 

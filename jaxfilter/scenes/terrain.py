@@ -65,9 +65,8 @@ class Terrain:
 
     def patch(self, box: Box) -> Patch:
         """The terrain over a box and :data:`OBJECT_MARGIN` around it."""
-        return Patch(
-            self, (box[0] - OBJECT_MARGIN, box[1] - OBJECT_MARGIN, box[2] + OBJECT_MARGIN, box[3] + OBJECT_MARGIN)
-        )
+        (x0, y0, x1, y1), m = box, OBJECT_MARGIN
+        return Patch(self, (x0 - m, y0 - m, x1 + m, y1 + m))
 
     def course(self, x: np.ndarray, y: np.ndarray) -> Course:
         """Course coordinates of points, f64[n] each."""

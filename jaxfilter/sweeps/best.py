@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, check_choice
 
 if TYPE_CHECKING:
     import pandas
@@ -44,9 +44,7 @@ def axes_of(dataset: xarray.Dataset) -> tuple[str, ...]:
 
 def check_score(dataset: xarray.Dataset, score: str) -> None:
     """Raises ParameterError for a score that does not exist."""
-    known = [name for name in SCORES if name in dataset]
-    if score not in known:
-        raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, known))}")
+    check_choice([name for name in SCORES if name in dataset], score=score)
 
 
 def mean_score(dataset: xarray.Dataset, score: str) -> xarray.DataArray:
@@ -57,9 +55,7 @@ def mean_score(dataset: xarray.Dataset, score: str) -> xarray.DataArray:
     check_score(dataset, score)
     values = dataset[score]
     if not values.notnull().any():
-        raise InputError(
-            f"score={score!r} is undefined for every set: the clouds had no reference labels of both classes"
-        )
+        raise InputError(f"score={score!r} is undefined for every set: no cloud has reference labels of both classes")
     return values.mean("cloud", keep_attrs=True) if "cloud" in values.dims else values
 
 

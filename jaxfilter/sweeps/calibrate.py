@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError, check_positive, check_whole, warn
+from ..core.errors import InputError, ParameterError, check_choice, check_positive, check_whole, warn
 from ..core.filter import Filter, group_equal
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
@@ -109,9 +109,7 @@ class CrossValidation:
         owner = blocks(side)
         count = np.bincount(owner)
         if len(count) < 2:
-            raise InputError(
-                "labels: all labelled points lie in one block; label points in several places, or pass block="
-            )
+            raise InputError("labels: all of them lie in one block; label points in several places, or pass block=")
         return _deal(count, self.folds)[owner]
 
 
@@ -162,8 +160,7 @@ class Study:
         options: SweepOptions = SweepOptions(),
     ) -> None:
         filter_ = check_filter(filter_)
-        if score not in DECIDING_SCORES:
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, DECIDING_SCORES))}")
+        check_choice(DECIDING_SCORES, score=score)
         self.filter, self.score = filter_, score
         cloud = as_cloud(cloud)
         self.ranges = _ranges_of(filter_, axes)
@@ -172,9 +169,7 @@ class Study:
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
         if not (known & cloud.candidate).any():
-            raise InputError(
-                "labels: all labelled points are set aside before filtering (they are not last echoes, or they are noise)"
-            )
+            raise InputError("labels: all labelled points are set aside before filtering (no last echoes, or noise)")
         self.subject = Subject(filter_, cloud, options)
         points = self.subject.points
         if self.subject.same is not None:

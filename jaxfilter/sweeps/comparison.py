@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, JaxfilterError, ParameterError, check_positive, check_whole, warn
+from ..core.errors import InputError, JaxfilterError, ParameterError, check_choice, check_positive, check_whole, warn
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
@@ -79,10 +79,8 @@ class Comparison:
         >>> compared.by_method("kappa").columns.tolist()
         ['SMRF', 'MSF']
         """
-        if score not in (known := (*_OPTIONAL, *_TIMES)):
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
-        if by not in ("cloud", "group"):
-            raise ParameterError(f"by={by!r}: choose 'cloud' or 'group'")
+        check_choice((*_OPTIONAL, *_TIMES), score=score)
+        check_choice(("cloud", "group"), by=by)
         wide = self.table.pivot_table(index="cloud", columns="method", values=score, dropna=False, sort=False)
         clouds, methods = (list(dict.fromkeys(self.table[name])) for name in ("cloud", "method"))
         return self._means(wide.reindex(clouds, columns=methods), by)
@@ -114,8 +112,7 @@ class Comparison:
         import pandas
 
         names, wide = list(self.by_method(score, by)), _size(self.by_method(score), score)
-        if against is not None and against not in names:
-            raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
+        check_choice((None, *names), against=against)
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
         found = [
             {"method": one, "other": other}
@@ -245,8 +242,7 @@ def compare(
     import pandas
 
     named = _named_filters(filters)
-    if choose not in SCORES:
-        raise ParameterError(f"choose={choose!r}: choose one of {', '.join(SCORES)}")
+    check_choice(SCORES, choose=choose)
     check_resources(workers)
     check_positive(" of metres, or None", cell=cell)
     check_whole(0, repeats=repeats)
@@ -276,9 +272,7 @@ def compare(
             costs = np.array([[cost(row[choose], choose) for row in other] for other in others])
             costs = costs[~np.isnan(costs).all(axis=1)]  # the others have no reference
             if not len(costs):
-                raise InputError(
-                    f"compare: no cloud outside of the group {group[place]} has a reference to choose {name} by"
-                )
+                raise InputError(f"compare: no cloud outside group {group[place]} has a reference to choose {name} by")
             best = int(np.argmin(np.nan_to_num(costs, nan=np.inf).mean(axis=0)))
         rows.append(tried[best])
     return Comparison(pandas.DataFrame(rows))

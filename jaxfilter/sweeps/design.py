@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ParameterError, check_whole
+from ..core.errors import ParameterError, check_choice, check_whole
 from ..core.filter import Filter, group_equal
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
@@ -47,8 +47,7 @@ def make_design(
     Raises: ParameterError naming the axis and what is wrong, before anything is computed.
     """
     filter_ = check_filter(filter_)
-    if design not in DESIGNS:
-        raise ParameterError(f"design={design!r}: choose one of {', '.join(map(repr, DESIGNS))}")
+    check_choice(DESIGNS, design=design)
     if not isinstance(axes, Mapping) or not axes:
         raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
     drawn = design in ("random", "sobol")

@@ -236,9 +236,7 @@ class _State:
             raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:
-                raise InputError(
-                    f"checkpoint {path} belongs to a sweep with other {name}: delete it or name another file"
-                )
+                raise InputError(f"checkpoint {path} is of a sweep with other {name}: delete it or name another file")
         for name, values in self.arrays.items():
             values[...] = data[name]
 

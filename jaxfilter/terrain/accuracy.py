@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import ParameterError
+from ..core.errors import check_positive
 from ..core.result import FilterResult
 from .interpolation import Interpolation
 from .layer import Site, grid_of, ground_of
@@ -164,9 +164,7 @@ def differences(
     rim: float,
 ) -> Differences:
     """The models that :func:`dtm_rmse` compares, with its arguments."""
-    for name, value in (("near", near), ("rim", rim)):
-        if value is not None and not 0 < value < math.inf:
-            raise ParameterError(f"dtm_rmse({name}={value!r}): must be a positive number of metres")
+    check_positive(" of metres", near=near, rim=rim)
     grid = grid_of(cloud, cell, None)
     gaps = (interpolation.max_gap, near and near / cloud.units.xy)
     known = dataclasses.replace(interpolation, max_gap=min((gap for gap in gaps if gap is not None), default=None))

@@ -55,9 +55,7 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     low, high = place[wet].min(axis=0) - pad, place[wet].max(axis=0) + pad + 1
     shape = tuple((high - low).tolist())
     if shape[0] * shape[1] > _MOST:
-        warn(
-            f"points of class {WATER} are {max(shape) * side:,.0f} m apart: no water is made of them; cut stray points off"
-        )
+        warn(f"points of class {WATER} are {max(shape) * side:,.0f} m apart: they make no water; cut stray points off")
         return None
 
     def cells(points: np.ndarray) -> np.ndarray:

@@ -161,9 +161,7 @@ class Raster:
         except rasterio.errors.RasterioError as error:
             raise InputError(f"{path}: cannot be read as a raster: {error}") from error
         if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
-            raise InputError(
-                f"{path}: only north-up rasters with square cells are understood, not transform {transform}"
-            )
+            raise InputError(f"{path}: only north-up rasters with square cells are read, not transform {transform}")
         kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
         return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
 
@@ -281,9 +279,7 @@ def write_mosaic(
                 for window, values in windows():
                     known += int(np.count_nonzero(values != nodata))
                     if not np.array_equal(file.read(1, window=window), values):
-                        raise OutputError(
-                            f"{path}: cannot be written: what was written reads back otherwise; is the disk full?"
-                        )
+                        raise OutputError(f"{path}: cannot be written: it reads back otherwise; is the disk full?")
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"{path}: cannot be written: {error}") from error
         check(known)
@@ -306,9 +302,7 @@ def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
     return np.where(np.isnan(values), np.float32(nodata), values).astype(kind)
 
 
-def _profile(
-    shape: tuple[int, ...], transform: tuple[float, ...], crs: Any, kind: str, nodata: float
-) -> dict[str, Any]:
+def _profile(shape: tuple[int, ...], transform: Iterable[float], crs: Any, kind: str, nodata: float) -> dict[str, Any]:
     """How GeoTIFF files are made."""
     import rasterio
 
