@@ -157,8 +157,7 @@ def evaluate(
         if ignore.shape != (n,) or ignore.dtype != bool:
             raise InputError(f"ignore must be bool[{n}], not {_describe(ignore)}")
         counted = counted & ~ignore
-    ignored = class_numbers(ignore_classes)
-    if ignored:
+    if ignored := class_numbers(ignore_classes):
         if classes is None and isinstance(reference, PointCloud):
             classes = reference.classification
         if classes is None:

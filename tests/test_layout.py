@@ -17,7 +17,7 @@ FLOORS = {
 PATHS = {path.relative_to(PACKAGE).with_suffix("").parts: path for path in PACKAGE.rglob("*.py")}
 ROOMS = {
     "laspy": "files", "lazrs": "files", "numba": "engines", "jax": "core engines steps methods metrics",
-    "scipy": "engines steps methods terrain sweeps plots reports reviews",
+    "scipy": "engines steps methods scenes terrain sweeps plots reports reviews",
 }  # fmt: skip
 
 

@@ -1,9 +1,5 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
-Rasters, products and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
-``report.py``, the demonstration in ``demo.py``. Options that they share are in ``options.py``, what they print in
-``output.py``, and how they begin and end in ``session.py``.
-
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
 where it is used, so that help stays quick.
@@ -44,7 +40,6 @@ class Program(click.Group):
     """The command as a whole: it can be stopped, see ``stoppable``, and answers words of other programs."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the subcommand."""
         collect_seldom()
         with stoppable():
             try:
@@ -92,7 +87,6 @@ class Ground(click.Command):
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Take the words apart as the command of the method does."""
         from ..methods import FILTERS
 
         if args and args[0] in FILTERS:
@@ -159,7 +153,6 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
 
 
 def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: dict[str, Any]) -> Answer:
-    """Run ``ground``."""
     recipe.alone()  # what is wrong with the parameters is said before anything is read
     from ..surveys.ground import ground
 

@@ -11,7 +11,7 @@ import click
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, on_command_line, option
+from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Number, on_command_line, option, size
 
 if TYPE_CHECKING:
     from ..files.classes import Classes
@@ -108,7 +108,7 @@ RUN_OPTIONS = [
     ),
     option("--wide-halos", "Accept a --tile so small that halos hold more than twice its points.", bool),
     option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
-    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", Bytes()),
+    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", size),
     option("--scheduler client", "Address of a Dask scheduler, whose workers then do the work.", "ADDRESS"),
     option("--work", "Local folder for what a run keeps to go on; several files into a URL need one.", "FOLDER"),
     option("--resume", "Go on with the run that was begun for OUT.", bool),
@@ -118,7 +118,7 @@ RUN_OPTIONS = [
 ]
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
-MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
+MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", size, default="2GB")
 SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED_OPTIONS, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)

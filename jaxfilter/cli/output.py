@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import json
@@ -203,13 +202,9 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:
                     shutil.copyfileobj(file, sys.stdout.buffer)
-        with contextlib.ExitStack() as stack:
-            if session.pipe is not None:
-                stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-            if as_json:
-                click.echo(json_text(session.as_dict() | answer.facts))
-            elif answer.always or not session.quiet:
-                click.echo(answer.text)
+        if as_json or answer.always or not session.quiet:
+            text = json_text(session.as_dict() | answer.facts) if as_json else answer.text
+            click.echo(text, err=session.pipe is not None)
         if not answer.complete:
             click.get_current_context().exit(1)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..core.errors import InputError
 from ..core.reading import Reading
 from .commands import command
 from .options import BOUNDS, FILTER, REPLACE, STATED_OPTIONS, THREADS, check_target, take, take_recipe
@@ -71,7 +72,10 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
             result = filter_(cloud, workers=shown.workers, progress=session.progress)
         ground = result.ground
     else:
-        result = ground = _labels(cloud, source, options["ground_class"])
+        ground = cloud.reference if cloud.classification is None else cloud.classification == options["ground_class"]
+        if ground is None and len(cloud):
+            raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
+        result = ground = cloud.candidate if ground is None else ground
     with session.step("report", len(cloud)):
         write_report(
             cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
@@ -82,22 +86,10 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     return Answer(facts, text)
 
 
-def _labels(cloud: PointCloud, source: Path, ground_class: int) -> Any:
-    """bool[n]: the ground by the cloud's own classes or labels. Raises InputError if it has none."""
-    from ..core.errors import InputError
-
-    if cloud.classification is not None:
-        return cloud.classification == ground_class
-    if cloud.reference is None and len(cloud):
-        raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-    return cloud.candidate if cloud.reference is None else cloud.reference
-
-
 def _reference(cloud: PointCloud, source: Path, reference: str, how: Reading) -> Any:
     """i8[n] for the points of the cloud: 1 = ground, 0 = object, -1 = unlabelled. Raises InputError."""
     import numpy as np
 
-    from ..core.errors import InputError
     from ..files.reading import read
     from ..scoring import match_points, reference_labels
 

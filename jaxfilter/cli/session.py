@@ -285,12 +285,9 @@ class Session:
 class _LogFile(logging.FileHandler):
     """A log whose disk may be full: that is said once, and the work goes on."""
 
-    lost = False
-
     def handleError(self, record: logging.LogRecord) -> None:
-        if not self.lost:
-            click.echo(f"warning: --log {self.baseFilename}: cannot be written on: {sys.exc_info()[1]}", err=True)
-        self.lost = True
+        logger.removeHandler(self)
+        click.echo(f"warning: --log {self.baseFilename}: cannot be written on: {sys.exc_info()[1]}", err=True)
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

@@ -78,12 +78,9 @@ def _fill(z: np.ndarray) -> np.ndarray:
 
 def new_figure(size: tuple[float, float]) -> Any:
     """An empty figure of this size in inches, without pyplot."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=200, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=size, dpi=200, layout="constrained")
 
 
 def axes_or_new(ax: Any, size: tuple[float, float]) -> Any:

@@ -61,18 +61,15 @@ class Town:
         self._quarters = quarters = Nodes.over(box_of(*corners), _QUARTER)
         weights = np.cumsum(self._layout.quarters()) / (sum(self._layout.quarters()) or 1.0)
         kind = np.searchsorted(weights[:-1], uniform(seed, Layer.QUARTERS, quarters)[..., 0], side="right")
-        at = self._back(*(((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh()))
+        at = self._turn(*(((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh()), -1)
         settled = patch.settled(*at).reshape(quarters.shape) > patch.settlement_threshold
         self._quarter = np.where(settled, kind, _NONE)
         self._plan()
 
-    def _turn(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
+    def _turn(self, x: np.ndarray, y: np.ndarray, way: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """East and north along the streets, f64[n] each, of x and y; the other way with ``way`` = -1."""
+        c, s = math.cos(self._azimuth), way * math.sin(self._azimuth)
         return c * x + s * y, c * y - s * x
-
-    def _back(self, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
-        return c * east - s * north, s * east + c * north
 
     def _plan(self) -> None:
         """Buildings of all plots of the patch, as arrays [ni * 4, nj * 4]; quarters with fewer plots use the first."""
@@ -114,7 +111,7 @@ class Town:
         corners, undisturbed = [], np.ones(shape, bool)
         for su, sv in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)):
             corner = east + centre_u + su * self._half_u, north + centre_v + sv * self._half_v
-            surface = self._patch(*self._back(corner[0].ravel(), corner[1].ravel()))
+            surface = self._patch(*self._turn(corner[0].ravel(), corner[1].ravel(), -1))
             undisturbed &= surface.undisturbed.reshape(shape)
             corners.append(surface.z.reshape(shape))
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -125,8 +122,8 @@ class Town:
         """The two streets that pass nearest to a place: f64[2] where, and f64[2] their direction, of length 1."""
         at = self._turn(np.array(x), np.array(y))
         east, north = (np.rint(v / _QUARTER) * _QUARTER for v in at)
-        places = self._back(np.array([east, at[0]]), np.array([at[1], north]))
-        ways = self._back(np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+        places = self._turn(np.array([east, at[0]]), np.array([at[1], north]), -1)
+        ways = self._turn(np.array([0.0, 1.0]), np.array([1.0, 0.0]), -1)
         return list(zip(np.stack(places, axis=1), np.stack(ways, axis=1), strict=True))
 
     def locate(self, x: np.ndarray, y: np.ndarray) -> Plot:

@@ -7,9 +7,10 @@ import functools
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray
 from scipy.spatial import cKDTree
 
 from ..core.cloud import PointCloud, as_cloud
@@ -23,9 +24,6 @@ from .design import MAX_SETS, make_design
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
-
-if TYPE_CHECKING:
-    import xarray
 
 DECIDING_SCORES = ("total", "kappa")
 """What is minimised, or maximised: the total error, or kappa, in percent."""
@@ -211,12 +209,8 @@ class Study:
         plan = make_design(self.filter, {name: [one[name] for one in sets] for name in names}, "list")
         found = np.zeros((len(sets), self.folds, 2, 2), np.int64)
         bits = np.zeros((len(sets), self.bits.shape[1]), np.uint8)
-        found_sets = (
-            (group[number], ground)
-            for group in plan.groups
-            for number, ground in self.subject.ground_each([plan.filters[i] for i in group])
-        )
-        for done, (number, ground) in enumerate(found_sets, 1):
+        each = (one for group in plan.groups for one in self.subject.ground_each(plan.filters, group))
+        for done, (number, ground) in enumerate(each, 1):
             called = np.append(ground, False)
             found[number] = self._counts(called)
             if plan.filters[number] == self.filter:
@@ -315,8 +309,6 @@ class Study:
         >>> study.result().filter.threshold in (0.3, 0.5)
         True
         """
-        import xarray as xr
-
         whole = self.confusion.sum(axis=1)
         views = self.expected([-1, *range(self.folds)])  # raises if there is no set
         chosen = self.best(views)
@@ -324,7 +316,7 @@ class Study:
         both = (held_out.sum(axis=2) > 0).all(axis=1) | (self.score == "total")
         columns, fields = self._tried(), {f.name: f for f in declared(self.filter)}
         scores = [Scores.from_confusion(counts) for counts in whole]
-        trials = xr.Dataset(
+        trials = xarray.Dataset(
             {
                 "total": ("set", [s.total for s in scores]),
                 "kappa": ("set", [s.kappa for s in scores]),
@@ -347,7 +339,7 @@ class Study:
     @functools.cached_property
     def _given(self) -> np.ndarray:
         """bool[m]: ground among the candidates, by the filter as it was given."""
-        ((_, ground),) = self.subject.ground_each([self.filter])
+        ((_, ground),) = self.subject.ground_each([self.filter], [0])
         return ground
 
 
@@ -426,7 +418,6 @@ def calibrate(
 
 
 def _ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
-    """Checked search ranges. Raises ParameterError."""
     ranges = search_ranges(filter_)
     if axes is not None:
         if not isinstance(axes, Mapping):

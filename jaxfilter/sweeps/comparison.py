@@ -9,9 +9,11 @@ import math
 import statistics
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas
+from scipy.stats import rankdata, wilcoxon
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, JaxfilterError, ParameterError, check_choice, check_positive, check_whole, warn
@@ -25,9 +27,6 @@ from ..terrain.accuracy import FIGURES, dtm_rmse
 from ..terrain.interpolation import Interpolation
 from .best import LARGER_IS_BETTER, SCORES, cost
 from .sweep import check_reference, named_clouds
-
-if TYPE_CHECKING:
-    import pandas
 
 Column = tuple[str, str, str]
 """Key in a row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
@@ -109,8 +108,6 @@ class Comparison:
         >>> compared.significance("total", against="SMRF")[["method", "other", "clouds"]].values.tolist()
         [['MSF', 'SMRF', 1]]
         """
-        import pandas
-
         names, wide = list(self.by_method(score, by)), _size(self.by_method(score), score)
         check_choice((None, *names), against=against)
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
@@ -150,8 +147,6 @@ class Comparison:
         >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        import pandas
-
         columns, rows, best = self._laid_out(score)
         cells = [{title: printed(row.get(key), spec, "--") for key, title, spec in columns} for row in rows]
         bold = [["textbf:--rwrap;" * (key in wins) for key, _, _ in columns] for wins in best]
@@ -239,8 +234,6 @@ def compare(
     >>> bool(compared.table.total.max() < 30)
     True
     """
-    import pandas
-
     named = _named_filters(filters)
     check_choice(SCORES, choose=choose)
     check_resources(workers)
@@ -301,8 +294,6 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
         ``worse``, numbers of clouds; ``effect``, the matched-pairs rank-biserial correlation, and ``p`` of Wilcoxon's signed-rank
         test, two-sided, 0 and 1 where nothing differs. Figures of no clouds are NaN.
     """
-    from scipy.stats import rankdata, wilcoxon
-
     other, own = np.asarray(pairs, np.float64).reshape(-1, 2).T
     gain = np.round(own - other if larger_is_better else other - own, 9)  # so that equal ones are equal
     better, worse = int((gain > 0).sum()), int((gain < 0).sum())

@@ -79,7 +79,6 @@ def make_design(
 
 
 def _values(name: str, values: Any) -> list[Any]:
-    """Plain Python values of an axis."""
     if hasattr(values, "__array__"):
         values = np.asarray(values)
     if (

@@ -9,10 +9,11 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+import xarray
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import DAMAGED, InputError, ParameterError
@@ -25,9 +26,6 @@ from ..scoring import Scores, reference_labels
 from .best import SCORE_NAMES, SCORES
 from .design import Design, make_design
 from .ranges import check_filter
-
-if TYPE_CHECKING:
-    import xarray
 
 _SAVE_EVERY = 10.0
 """Seconds between writes of a checkpoint."""
@@ -63,12 +61,13 @@ class Subject:
         self.points, self.options = dataclasses.replace(filter_.points_of(cloud), kept={}), options
         self.same = degenerate(cloud, self.points)
 
-    def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:
-        """Number of the set and bool[m], ground, for every set; they differ in traced fields only."""
+    def ground_each(self, filters: Sequence[Filter], numbers: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
+        """Number and bool[m], ground, of some of the filters, which differ in traced fields only."""
         if self.same is not None:
-            return ((number, self.same.ground) for number in range(len(sets)))
-        options = self.options
-        return ground_each(sets[0], self.points, sets, key=options.key, workers=options.workers, memory=options.memory)
+            return ((number, self.same.ground) for number in numbers)
+        sets = [filters[number] for number in numbers]
+        found = ground_each(sets[0], self.points, sets, **vars(self.options))
+        return ((numbers[place], ground) for place, ground in found)
 
 
 def sweep(
@@ -120,8 +119,6 @@ def sweep(
     >>> int(data.ground.sel(slope=0.2, threshold=0.5)) == int(jf.SMRF(slope=0.2)(cloud).ground.sum())
     True
     """
-    import xarray as xr
-
     filter_ = check_filter(filter_)
     plan = make_design(filter_, axes, design, size, seed)
     options = SweepOptions(key, workers, memory)
@@ -142,12 +139,12 @@ def sweep(
                 text = f"{name}: " * several + f"{len(plan.sets)} sets"
                 text += f", group {g + 1} of {len(plan.groups)}" if len(plan.groups) > 1 else ""
                 report(state.done.sum() / jobs, text)
-                for number, ground in scene.ground_each([plan.filters[i] for i in pending]):
-                    state.add(c, pending[number], scene, ground)
+                for number, ground in scene.ground_each(plan.filters, pending):
+                    state.add(c, number, scene, ground)
                     report(state.done.sum() / jobs, text)
     finally:
         state.save()
-    return _dataset(xr, filter_, plan, several, named, state)
+    return _dataset(filter_, plan, several, named, state)
 
 
 def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, PointCloud]]:
@@ -277,7 +274,7 @@ def _digest(cloud: PointCloud) -> str:
 
 
 def _dataset(
-    xr: Any, filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
+    filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
 ) -> xarray.Dataset:
     grid = plan.kind == "grid"
     sizes = {name: len(values) for name, values in plan.axes.items()} if grid else {"set": len(plan.sets)}
@@ -316,7 +313,7 @@ def _dataset(
         "sets": len(plan.sets),
         "groups": len(plan.groups),
     }
-    return xr.Dataset(variables, coords, attrs)
+    return xarray.Dataset(variables, coords, attrs)
 
 
 def about(field: dataclasses.Field[Any]) -> dict[str, str]:

@@ -79,10 +79,8 @@ class HeightErrors:
         >>> jf.dtm_rmse(cloud, truth).as_dict()["border_off_1m"]
         0.0
         """
-        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-2]} | {
-            "off": self.off,
-            "off_1m": self.off_1m,
-        }
+        names = [f.name for f in dataclasses.fields(self)[:-2]]
+        own = {name: getattr(self, name) for name in (*names, "off", "off_1m")}
         parts = (("border_", self.border), ("inside_", self.inside))
         return own | {word + key: value for word, part in parts if part for key, value in part.as_dict().items()}
 

@@ -303,7 +303,6 @@ def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
 
 
 def _profile(shape: tuple[int, ...], transform: Iterable[float], crs: Any, kind: str, nodata: float) -> dict[str, Any]:
-    """How GeoTIFF files are made."""
     import rasterio
 
     crs = for_outputs(crs)
