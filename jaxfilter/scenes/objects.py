@@ -61,7 +61,8 @@ class Town:
         self._quarters = quarters = Nodes.over(box_of(*corners), _QUARTER)
         weights = np.cumsum(self._layout.quarters()) / (sum(self._layout.quarters()) or 1.0)
         kind = np.searchsorted(weights[:-1], uniform(seed, Layer.QUARTERS, quarters)[..., 0], side="right")
-        at = self._turn(*(((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh()), way=-1)
+        east, north = (((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh())
+        at = self._turn(east, north, -1)
         settled = patch.settled(*at).reshape(quarters.shape) > patch.settlement_threshold
         self._quarter = np.where(settled, kind, _NONE)
         self._plan()
