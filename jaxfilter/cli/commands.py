@@ -50,9 +50,7 @@ class Program(click.Group):
                 words = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
                 raise click.UsageError(words, error.ctx) from error
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Say what to type where the first word is a method, a file, or the command of another program."""
         word = args[0]
         if not ctx.resilient_parsing and word not in self.commands:

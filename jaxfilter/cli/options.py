@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from ..surveys.options import RunOptions
 
 T = TypeVar("T")
-STATED_OPTIONS = [
+STATED = [
     option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"),
-    option(
-        "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
-    ),
+    option("--crs", "CRS of files that state none, like EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"),
 ]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
 AOI = option(
@@ -40,7 +38,7 @@ DUPLICATES = option(
 )
 DROP_INVALID = option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool)
 READING = [
-    *STATED_OPTIONS,
+    *STATED,
     BOUNDS,
     AOI,
     option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
@@ -92,20 +90,16 @@ LARGEST_BUILDING = option(
 )
 BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
-BREAKLINES = option(
-    "--breaklines", "Also write the outlines of water bodies, with their level, as .gpkg or .geojson.", OUTPUT
-)
+BREAKLINES = option("--breaklines", "Also write outlines of waters with their level, as .gpkg or .geojson.", OUTPUT)
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 _OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
-GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI, DROP_INVALID]
+GROUND_OPTIONS = [*FILTER, CLASSES, *STATED, AOI, DROP_INVALID]
 """What is ground."""
 RUN_OPTIONS = [
     option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
-    option(
-        "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
-    ),
+    option("--halo", "Width around each tile that is read too.  [default: what the method needs]", click.FloatRange(0)),
     option("--wide-halos", "Accept a --tile so small that halos hold more than twice its points.", bool),
     option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
     option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", size),
@@ -119,7 +113,7 @@ RUN_OPTIONS = [
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
 MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", size, default="2GB")
-SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED_OPTIONS, MEMORY, THREADS]
+SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)
 

@@ -10,7 +10,7 @@ import click
 from ..core.errors import InputError
 from ..core.reading import Reading
 from .commands import command
-from .options import BOUNDS, FILTER, REPLACE, STATED_OPTIONS, THREADS, check_target, take, take_recipe
+from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
 from .output import Answer, times
 from .session import BadUsage, Session
 from .values import CLASS, COUNT, INPUT, OUTPUT, option
@@ -39,7 +39,7 @@ OWN = "own"
     ),
     option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
     option("--title", "Title of the page.  [default: the name of IN]"),
-    *(BOUNDS, *STATED_OPTIONS, THREADS, REPLACE),
+    *(BOUNDS, *STATED, THREADS, REPLACE),
 )
 def report(session: Session, source: Path, target: Path, reference: str | None, **options: Any) -> Answer:
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
@@ -49,7 +49,7 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     """
     from ..files.reading import read
     from ..reports.page import PAGE_SUFFIXES, ReportOptions
-    from ..reports.page import report as write_report
+    from ..reports.page import report as make_page
 
     name, overwrite = target, options["overwrite"]
     if str(target) == "-":
@@ -77,9 +77,7 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
             raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
         result = ground = cloud.candidate if ground is None else ground
     with session.step("report", len(cloud)):
-        write_report(
-            cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
-        )
+        make_page(cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress)
     size, count = target.stat().st_size, int(ground.sum())
     facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
     text = f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}"

@@ -112,9 +112,7 @@ class Session:
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
-    def __init__(
-        self, *, quiet: bool, debug: bool, log: Path | None = None, progress_every: float = LINE_EVERY
-    ) -> None:
+    def __init__(self, quiet: bool, debug: bool, log: Path | None = None, progress_every: float = LINE_EVERY) -> None:
         self.quiet, self.debug, self.log = quiet, debug, log
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}

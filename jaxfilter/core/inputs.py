@@ -91,9 +91,8 @@ def _names_of(points: Any) -> tuple[str, ...]:
 
 def is_structured(points: Any) -> bool:
     """Whether these are named columns: a structured array, or a table or an object with X, Y and Z."""
-    return bool(getattr(getattr(points, "dtype", None), "names", None)) or set("xyz") <= set(
-        map(_plain, _names_of(points))
-    )
+    names = set(map(_plain, _names_of(points)))
+    return bool(getattr(getattr(points, "dtype", None), "names", None)) or set("xyz") <= names
 
 
 def laspy_parts(

@@ -137,9 +137,8 @@ class Town:
         per_side = np.array(_PLOTS)[quarter]
         side = (_QUARTER - 2 * _STREET) / per_side
         a, b = (np.clip(np.floor((v - _STREET) / side), 0, per_side - 1).astype(np.intp) for v in (east, north))
-        return Plot(
-            quarter, east, north, i * 4 + a, j * 4 + b, side, east - _STREET - a * side, north - _STREET - b * side
-        )
+        u, v = east - _STREET - a * side, north - _STREET - b * side
+        return Plot(quarter, east, north, i * 4 + a, j * 4 + b, side, u, v)
 
     def roof(self, plot: Plot) -> Roof:
         """The buildings' roofs."""

@@ -273,9 +273,7 @@ def _digest(cloud: PointCloud) -> str:
     return digest.hexdigest()
 
 
-def _dataset(
-    filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
-) -> xarray.Dataset:
+def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State) -> xarray.Dataset:
     grid = plan.kind == "grid"
     sizes = {name: len(values) for name, values in plan.axes.items()} if grid else {"set": len(plan.sets)}
     sizes |= {"cloud": len(named)} if several else {}
@@ -298,7 +296,7 @@ def _dataset(
             end = f"_{name}" if several else ""
             share = (counts / len(plan.sets)).astype(np.float32)
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
-    fields = {f.name: f for f in declared(filter_)}
+    fields = {f.name: f for f in declared(base)}
     coords: dict[str, Any] = {
         name: ((name if grid else "set",), values, about(fields[name])) for name, values in plan.axes.items()
     }
@@ -307,8 +305,8 @@ def _dataset(
     if several:
         coords["cloud"] = list(named)
     attrs = {
-        "method": type(filter_).__name__,
-        "parameters": json.dumps(dataclasses.asdict(filter_), default=str),  # type: ignore[call-overload]
+        "method": type(base).__name__,
+        "parameters": json.dumps(dataclasses.asdict(base), default=str),  # type: ignore[call-overload]
         "design": plan.kind,
         "sets": len(plan.sets),
         "groups": len(plan.groups),
