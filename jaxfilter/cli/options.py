@@ -271,7 +271,10 @@ def open_files(
         raise BadUsage(f"OUT is missing: name {what}")
     output = out or ", ".join(inputs)
     if out == "-":
-        out = str(session.piped(suffixes[-1] if suffixes else _suffix_of(inputs), run.resume))
+        suffix, several = Path(inputs[0]).suffix, any(c in inputs[0] for c in "*?[") or Path(inputs[0]).is_dir()
+        if not suffixes and (several or len(inputs) > 1 or not suffix):
+            raise BadUsage("-: standard output takes one file: name a folder")
+        out = str(session.piped(suffixes[-1] if suffixes else suffix, run.resume))
     if out is not None:
         if suffixes:
             check_target(place_of(out), run.overwrite or run.resume, suffixes)
@@ -282,11 +285,3 @@ def open_files(
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")
     return Files(session, inputs, out, collection, reading, run, output)
-
-
-def _suffix_of(inputs: Sequence[str]) -> str:
-    """Of the one file that is read. Raises BadUsage for what becomes several files."""
-    suffix = Path(inputs[0]).suffix
-    if len(inputs) > 1 or not suffix or any(c in inputs[0] for c in "*?[") or Path(inputs[0]).is_dir():
-        raise BadUsage("-: standard output takes one file: name a folder")
-    return suffix

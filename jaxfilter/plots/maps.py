@@ -52,9 +52,9 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
         width, height = (max(float(v), QUANTUM) for v in np.ptp(xyz[:, :2], axis=0))
         cell = max(math.sqrt(width * height / len(xyz)), max(width, height) / PICTURE_CELLS)
     grid = grid_over(xyz if over is None else over, cell)
-    lowest = np.full(grid.ny * grid.nx, np.inf, np.float32)
-    np.minimum.at(lowest, grid.flat(xyz), xyz[:, 2])
-    z = np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
+    lowest = np.full(grid.ny * grid.nx, np.nan, np.float32)
+    np.fmin.at(lowest, grid.flat(xyz), xyz[:, 2])
+    z = lowest.reshape(grid.shape)
     far = scipy.ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > PICTURE_REACH
     return np.where(far, np.nan, _fill(z)), grid
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -20,7 +19,7 @@ from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import SCORE_NAMES, word
-from .design import MAX_SETS, make_design
+from .design import MAX_SETS, make_design, sobol
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
@@ -396,16 +395,11 @@ def calibrate(
         if mask.shape != (len(cloud),) or mask.dtype != bool:
             raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
         labels = np.where(known & mask, truth, -1).astype(np.int8)
-    from scipy.stats import qmc  # late: it takes half a second
-
     study = Study(filter_, cloud, labels, axes=axes, score=score, validation=validation, options=options)
     report = progress or silent
     ranges, low, width = study.ranges, np.zeros(len(study.ranges)), np.ones(len(study.ranges))
     for turn in range(rounds):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # no power of two many: their balance is not needed
-            unit = qmc.Sobol(len(ranges), rng=np.random.default_rng([seed, turn])).random(size)
-        place = low + width * unit
+        place = low + width * sobol(size, len(ranges), [seed, turn])
         sets = [{name: r.at(u) for u, (name, r) in zip(row, ranges.items(), strict=True)} for row in place]
         if turn == 0:
             sets[0] = {name: getattr(study.filter, name) for name in ranges}

@@ -103,13 +103,8 @@ def _drawn(
     filter_: Filter, fields: Mapping[str, Any], axes: Mapping[str, Any], kind: str, size: int, seed: int
 ) -> dict[str, list[Any]]:
     """Values of every set: a tuple of two numbers is a range, a list the values to choose from."""
-    if kind == "sobol":
-        from scipy.stats import qmc
-
-        unit = qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(max(0, math.ceil(math.log2(size))))
-        unit = unit[:size]
-    else:
-        unit = np.random.default_rng(seed).random((size, len(axes)))
+    shape = size, len(axes)
+    unit = sobol(*shape, seed) if kind == "sobol" else np.random.default_rng(seed).random(shape)
     columns: dict[str, list[Any]] = {}
     for (name, given), u in zip(axes.items(), unit.T, strict=True):
         values = _values(name, given)
@@ -127,3 +122,11 @@ def _drawn(
         drawn = np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int) if whole else low + u * (high - low)
         columns[name] = drawn.tolist()
     return columns
+
+
+def sobol(size: int, dimensions: int, seed: Any) -> np.ndarray:
+    """f64[size, dimensions]: the first points of a scrambled Sobol sequence."""
+    from scipy.stats import qmc  # late: it takes half a second
+
+    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
+    return sequence.random_base2(math.ceil(math.log2(size)))[:size]
