@@ -20,7 +20,6 @@ from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, check_whole
 from ..core.filter import Filter, check_resources
-from ..core.markup import table
 from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
@@ -32,6 +31,7 @@ from ..sweeps.best import SCORES
 from .layers import map_layers, places_to_look_at
 from .places import as_result
 from .steps import Steps, steps_of
+from .survey_page import table
 
 PAGE_SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
