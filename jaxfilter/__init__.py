@@ -12,7 +12,6 @@ from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from . import datasets, plots, scenes
-    from .citing import citation
     from .core.cloud import PointCloud
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from .files.reading import Classes, class_changes, read, write
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
+    from .methods.papers import citation
     from .reports.info import info
     from .reports.page import ReportOptions, report
     from .reports.places import review
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from .terrain.raster import Raster
 
 _HOMES = {
-    "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
+    "methods.papers": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD",
     "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default": ("default_filter",),

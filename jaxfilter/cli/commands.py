@@ -224,8 +224,8 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
 @main.command(params=[option("--json as_json", "Print JSON.", bool)])
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
-    from ..citing import citation
     from ..methods import FILTERS
+    from ..methods.papers import citation
     from .flags import describe, fields
 
     table: dict[str, dict[str, Any]] = {

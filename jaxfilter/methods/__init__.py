@@ -22,22 +22,8 @@ if TYPE_CHECKING:
     from .stin import STIN
 
 __all__ = [
-    "AGPTD",
-    "ATIN",
-    "CSF",
-    "FILTERS",
-    "FPTD",
-    "IPTD",
-    "MSF",
-    "OST",
-    "PMF",
-    "PPDF",
-    "PTD",
-    "PTDF",
-    "SMRF",
-    "SPF",
-    "STIN",
-]
+    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
+]  # fmt: skip
 
 for _name in __all__:
     if _name != "FILTERS":

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, check_whole
 from ..core.filter import Filter, check_resources
@@ -26,6 +25,7 @@ from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, class_name, table_of
 from ..files.disk import check_suffix, new_file
+from ..methods.papers import citation
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
 from .layers import map_layers, places_to_look_at
