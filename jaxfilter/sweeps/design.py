@@ -81,16 +81,11 @@ def make_design(
 def _values(name: str, values: Any) -> list[Any]:
     if hasattr(values, "__array__"):
         values = np.asarray(values)
-    if (
-        isinstance(values, (str, bytes, Mapping))
-        or not isinstance(values, (Sequence, np.ndarray))
-        or not np.shape(values)
-    ):
+    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or not np.shape(values):
         raise ParameterError(f"axes: {name}={values!r}: give a list of values")
-    array = list(values)
-    if not array:
+    if len(values) == 0:
         raise ParameterError(f"axes: {name} is empty")
-    out = [value.item() if isinstance(value, np.generic) else value for value in array]
+    out = [value.item() if isinstance(value, np.generic) else value for value in values]
     for value in out:
         if isinstance(value, float) and math.isnan(value):
             raise ParameterError(f"axes: {name}={out!r} holds NaN")
