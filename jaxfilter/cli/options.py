@@ -130,8 +130,7 @@ def take_classes(options: dict[str, Any]) -> Classes:
     """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
     from ..files.classes import Classes
 
-    said = on_command_line(vars(Classes()))
-    return Classes.preset(options.pop("preset_of_classes"), **said)
+    return Classes.preset(options.pop("preset_of_classes"), **on_command_line(vars(Classes())))
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:

@@ -66,16 +66,14 @@ class Coordinates:
         Returns: the origin, f64[3], and which points are valid, bool[n] or None for all.
         Raises: InputError unless points far off may be dropped (``drop``), and where float64 does not resolve coordinates.
         """
-        low, high = self.ends(valid)
-        near = self._near(low, high, units.factor, name, drop)
-        if near is not None:
-            valid = near
-            low, high = self.ends(valid)
-        self._check_resolution(low, high, units.factor, name)
+        (low, high), factor = self.ends(valid), units.factor
+        if (near := self._near(low, high, factor, name, drop)) is not None:
+            valid, (low, high) = near, self.ends(near)
+        self._check_resolution(low, high, factor, name)
         if np.isnan(low).any():
             self.local[:] = 0
             return np.zeros(3), valid
-        factor, base = units.factor, np.array([*anchor, 0.0])
+        base = np.array([*anchor, 0.0])
         origin = base + np.floor((low - base) * factor) / factor
         for start in range(0, len(self.local), _ROWS):
             rows = slice(start, start + _ROWS)

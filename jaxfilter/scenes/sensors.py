@@ -91,8 +91,7 @@ def _matched(terrain: Terrain, nodes: Nodes, pixel: float, box: Box, noise: floa
 
     def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
         """f64[n]: weighted means over pixels."""
-        image = values.reshape(nodes.shape)
-        return gaussian_filter(image, sigma, mode="nearest", truncate=3.0).ravel()
+        return gaussian_filter(values.reshape(nodes.shape), sigma, mode="nearest", truncate=3.0).ravel()
 
     z, raised = smooth(top, _MATCHED), smooth(top - surface.z, _MATCHED) >= _RAISED
     kind = np.where(raised, np.where(kind == Kind.GROUND, Kind.WALL, kind), Kind.GROUND).astype(np.uint8)

@@ -223,8 +223,7 @@ class Study:
 
     def _counts(self, called: np.ndarray) -> np.ndarray:
         """i64[folds, 2, 2] of labels bool[m + 1]."""
-        cell = self.cell - called[self.row]
-        return np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
+        return np.bincount(self.cell - called[self.row], minlength=4 * self.folds).reshape(self.folds, 2, 2)
 
     def _of(self, confusion: np.ndarray) -> np.ndarray:
         """f64[...]: the score of counts [..., 2, 2]; those to expect are no whole numbers."""
