@@ -163,6 +163,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     if report.forecast is not None:
         return plan_answer(report.forecast)
     units, of_class = files.collection.units, classes.ground_class
+    counted = sum(n for (_, new), n in report.classes.items() if new == of_class)
     tell(session, report)
     logger.info(
         f"{files.output}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground"
@@ -173,9 +174,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
         "ground_class": of_class,
         "noise_class": classes.noise_class,
         "written": dataclasses.asdict(classes),
-        "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
-        if report.classes
-        else None,
+        "of_ground_class": counted if report.classes else None,
         "review": review and str(review),
         "breaklines": breaklines and str(breaklines),
         "all_reset": classes.reset != "none" and not classes.only_ground and classes.other_class != of_class,

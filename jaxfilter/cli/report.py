@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.reading import Reading
@@ -86,8 +87,6 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
 
 def _reference(cloud: PointCloud, source: Path, reference: str, how: Reading) -> Any:
     """i8[n] for the points of the cloud: 1 = ground, 0 = object, -1 = unlabelled. Raises InputError."""
-    import numpy as np
-
     from ..files.reading import read
     from ..scoring import match_points, reference_labels
 
