@@ -139,7 +139,9 @@ LAYOUTS: dict[str, SceneLayout] = {
         relief=260, landform=512, hurst=0.85, ridges=0.8, tilt=0.2, scarp=15, forest=0.35, conifers=0.9, trees=0.01,
         low_vegetation=0.08
     ),
-    "forest": _ready(relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3),
+    "forest": _ready(
+        relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3
+    ),
     "quarry": _ready(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01),
     "terraces": _ready(
         relief=45, landform=128, hurst=1.4, tilt=0.12, terraces=3, settlement=0.1, rows=0, halls=0, parks=0,
@@ -159,7 +161,8 @@ LAYOUTS: dict[str, SceneLayout] = {
     ),
     "gorge": _ready(relief=24, **_WIDE, river=9, cliff=58, face=68, floor=26, forest=0.4, trees=0.03, scan_angle=15),
     "benches": _ready(
-        relief=16, **_WIDE, cliff=50, face=70, floor=40, bench=12.5, bridges=False, forest=0.3, trees=0.02, scan_angle=15
+        relief=16, **_WIDE, cliff=50, face=70, floor=40, bench=12.5, bridges=False, forest=0.3, trees=0.02,
+        scan_angle=15
     ),
     "vineyard": _ready(relief=18, landform=128, hurst=1.4, tilt=0.45, terraces=1.8, vines=0.8, forest=0.08, trees=0.01),
     "canopy": _ready(relief=24, **_WIDE, forest=0.75, trees=0.03, conifers=0.4, penetration=0.1),
