@@ -128,22 +128,13 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     def complete(context: click.Context, parameter: click.Parameter, word: str) -> list[str]:
         return [name for name in FILTERS if method is None and name.startswith(word)]
 
-    parameters: list[click.Parameter] = [
-        click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True, shell_complete=complete)
-    ]
+    paths = click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True, shell_complete=complete)
+    parameters: list[click.Parameter] = [paths]
     if method is not None:
         presets = click.Choice(list(method.PRESETS))
         parameters += [*flags.options(method), option("--preset", "A named set of parameters.", presets)]
-    parameters += [
-        *BY_DATA,
-        *READING,
-        *WRITTEN,
-        option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
-        REVIEW,
-        BREAKLINES,
-        *RUN_OPTIONS,
-        *SESSION,
-    ]
+    extra = option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True)
+    parameters += [*BY_DATA, *READING, *WRITTEN, extra, REVIEW, BREAKLINES, *RUN_OPTIONS, *SESSION]
     if method is not None:
         return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
     words = "\n".join(f"{name:6} {_summary(kind)}" for name, kind in FILTERS.items())
