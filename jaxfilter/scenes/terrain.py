@@ -318,8 +318,7 @@ class Patch:
         """(offset in the period, half span in metres) of what bridges cross."""
         layout = self.layout
         spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
-        if layout.road:
-            spans.append((_CUTTING, layout.road / 2))
+        spans += [(_CUTTING, layout.road / 2)] if layout.road else []
         if layout.cliff:
             steps = layout.cliff / (layout.bench or layout.cliff)
             return [*spans, (self.stream, layout.floor / 2 + steps * self._step + 14)]

@@ -158,8 +158,6 @@ class WaterRuns:
             (v >= v0 + a * side / metre) & (v <= v0 + b * side / metre)
             for v, v0, a, b in ((y, y0, low[0], high[0]), (x, x0, low[1], high[2]))
         ]
-        if not (near[0].any() and near[1].any()):
-            return values
         out, box = values.copy(), np.ix_(*near)
         level = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
         out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
