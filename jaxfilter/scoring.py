@@ -200,9 +200,8 @@ def match_points(
     differs = (ours[order] != theirs[target]).any(axis=1)
     if differs.any():
         x, y, z = cloud.coordinates()[order[np.argmax(differs)]]
-        raise InputError(
-            f"{names[0]} and {names[1]} do not hold the same points: they differ near ({x:.3f}, {y:.3f}, {z:.3f})"
-        )
+        place = f"({x:.3f}, {y:.3f}, {z:.3f})"
+        raise InputError(f"{names[0]} and {names[1]} do not hold the same points: they differ near {place}")
     match = np.empty(n, np.int64)
     match[order] = target
     return match

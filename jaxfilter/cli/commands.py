@@ -156,9 +156,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     units, of_class = files.collection.units, classes.ground_class
     counted = sum(n for (_, new), n in report.classes.items() if new == of_class)
     tell(session, report)
-    logger.info(
-        f"{files.output}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground"
-    )
+    found = f"{report.ground:,} of {report.points:,} points are ground"
+    logger.info(f"{files.output}: {len(report.files):,} files, {found}")
     facts = run_facts(session, report, files) | {
         "units": str(units),
         "metres_per_unit": [units.xy, units.z],

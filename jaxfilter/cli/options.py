@@ -85,9 +85,8 @@ WRITTEN = [
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
 PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
 FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
-LARGEST_BUILDING = option(
-    "--largest-building", "Width of the largest building; sets what depends on it, as --for-cloud does.", METRES
-)
+_WIDTH = "Width of the largest building; sets what depends on it, as --for-cloud does."
+LARGEST_BUILDING = option("--largest-building", _WIDTH, METRES)
 BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
 BREAKLINES = option("--breaklines", "Also write outlines of waters with their level, as .gpkg or .geojson.", OUTPUT)
@@ -145,9 +144,8 @@ def take_run(options: dict[str, Any], session: Session) -> RunOptions:
         many = standing.tiles > 1
         if many and not noted:
             noted = True
-            session.note(
-                f"{standing.tiles:,} tiles; with their surroundings each point is read {standing.times_read:.1f} times"
-            )
+            read = f"each point is read {standing.times_read:.1f} times"
+            session.note(f"{standing.tiles:,} tiles; with their surroundings {read}")
         note = f"{standing.tiles_done:,} of {standing.tiles:,}" if many else ""
         session.progress(standing.share, standing.step, note, standing.rate if many else None)
 

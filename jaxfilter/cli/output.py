@@ -87,10 +87,8 @@ def tell(session: Session, report: RunReport) -> None:
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
     if places := report.places:
-        listed = [
-            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
-            for one in places[:_PLACES_LISTED]
-        ]
+        top = places[:_PLACES_LISTED]
+        listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})" for one in top]
         more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")

@@ -72,9 +72,8 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     tell(session, report)
     said = ", ".join(f"{n} {word}" for word, n in report.applied.items()) or "none"
     text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} were before"
-    text += (
-        f"; {count(report.changed, 'point')} in {count(len(report.files), 'file')} changed in {report.elapsed:.1f} s"
-    )
+    changed = f"{count(report.changed, 'point')} in {count(len(report.files), 'file')}"
+    text += f"; {changed} changed in {report.elapsed:.1f} s"
     if report.problems:
         text += f"; {count(len(report.problems), 'verdict')} left out"
     return Answer(run_facts(session, report), text, complete=report.complete)

@@ -106,9 +106,8 @@ class Coordinates:
                     "drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
                 )
             far = distance > limit / 2
-            warn(
-                f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
-            )
+            stray = f"{int(far.sum())} points more than {limit / 2:g} m from the median of {letter}"
+            warn(f"{name}: {stray} are labelled non-ground")
             near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
         return near
 

@@ -74,9 +74,8 @@ def parse_units(text: str | Units) -> Units:
         return text
     parts = [p.strip().lower() for p in text.split(",")] if isinstance(text, str) else []
     if not 1 <= len(parts) <= 2 or any(p not in NAMED_UNITS for p in parts):
-        raise InputError(
-            f"units {text!r} are not known: use one of {', '.join(NAMED_UNITS)}, or a pair XY,Z such as 'us-ft,m'"
-        )
+        known = ", ".join(NAMED_UNITS)
+        raise InputError(f"units {text!r} are not known: use one of {known}, or a pair XY,Z such as 'us-ft,m'")
     xy, z = NAMED_UNITS[parts[0]], NAMED_UNITS[parts[-1]]
     return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
 
@@ -231,9 +230,8 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
     z = _unit_of(crs, 2) if len(crs.axis_info) > 2 else xy
     for factor, unit in dict.fromkeys((xy, z)):
         if not METRES_PER_UNIT[0] <= factor <= METRES_PER_UNIT[1]:
-            problem = (
-                f"its CRS ({crs.name}) has {factor:g} metres in a unit named {unit!r}, which cannot be; correct it"
-            )
+            wrong = f"{factor:g} metres in a unit named {unit!r}, which cannot be"
+            problem = f"its CRS ({crs.name}) has {wrong}; correct it"
             return Reference(crs, problem=problem, shown=f"{unit} of {factor:g} m")
         known = _linear_unit(unit)
         if known is not None and not math.isclose(factor, known[0], rel_tol=1e-3):

@@ -104,9 +104,8 @@ class SceneLayout:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.settlement > 0 and not sum(self.quarters()) > 0:
-            raise ParameterError(
-                f"SceneLayout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"
-            )
+            kinds = "houses, rows, blocks, towers, halls, parks"
+            raise ParameterError(f"SceneLayout(settlement={self.settlement!r}): one of {kinds} must be > 0")
 
     def quarters(self) -> tuple[float, ...]:
         """Weights of the kinds of quarter, in the order houses, rows, blocks, towers, halls, parks.
