@@ -127,10 +127,8 @@ class Coordinates:
         if (wrong := largest * factor >= _RESOLVED).any():
             axis = int(np.argmax(wrong))
             value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
-            raise InputError(
-                f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
-                "scale and offset, or subtract a constant from the coordinates"
-            )
+            wrong = f"{'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m"
+            raise InputError(f"{name}: {wrong}: correct scale and offset, or subtract a constant from the coordinates")
 
 
 def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
@@ -155,10 +153,8 @@ def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
     low, high = SCALE_LIMITS
     for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
         if not low < scale <= high:
-            raise InputError(
-                f"{name}: {axis} scale factor is {scale:g}; it must be above {low:g} and not above {high:g}, the header is "
-                "damaged"
-            )
+            limits = f"it must be above {low:g} and at most {high:g}"
+            raise InputError(f"{name}: {axis} scale factor is {scale:g}; {limits}, the header is damaged")
         if not math.isfinite(offset):
             raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
 

@@ -142,16 +142,13 @@ def check_fields(params: Any) -> None:
         object.__setattr__(params, f.name, value)
         if traced:
             if meta.get("static"):
-                raise ParameterError(
-                    f"{name}({f.name}=...): the field fixes shapes of arrays or a path through the code, and cannot be "
-                    "traced by jax.jit, vmap or grad; make one filter for each value"
-                )
+                why = "the field fixes shapes or a path through the code, and cannot be traced by jax.jit, vmap or grad"
+                raise ParameterError(f"{name}({f.name}=...): {why}; make one filter for each value")
             continue
         if np.ndim(value) > 0:
-            raise ParameterError(
-                f"{name}({f.name}=...): a single value is needed, not an array of shape {np.shape(value)}; "
-                "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
-            )
+            wanted = f"a single value is needed, not an array of shape {np.shape(value)}"
+            advice = "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
+            raise ParameterError(f"{name}({f.name}=...): {wanted}; {advice}")
         given, choices = f"{name}({f.name}={value!r})", meta.get("choices")
         if choices is not None:
             if value not in choices:

@@ -63,10 +63,8 @@ def labels_from(
         absent = absent[~np.isfinite(distance)]
     if len(absent):
         x, y, z = cloud.origin + xyz[absent[0]] / metres
-        raise InputError(
-            f"{name}: {len(absent)} of {len(xyz)} labelled points are not in the cloud, the first near "
-            f"({x:.3f}, {y:.3f}, {z:.3f}); label points of the cloud itself"
-        )
+        missing = f"{len(absent)} of {len(xyz)} labelled points are not in the cloud"
+        raise InputError(f"{name}: {missing}, the first near ({x:.3f}, {y:.3f}, {z:.3f}); label points of the cloud")
     return out
 
 

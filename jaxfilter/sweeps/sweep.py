@@ -170,10 +170,8 @@ def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None
     truth, counted = reference_labels(cloud)
     for kind, other in ((truth, "ground"), (~truth, "object")):
         if not (counted & kind).any():
-            raise InputError(
-                f"{caller}: no point of {name} has the reference label {other}: scores need both classes. Without scores, "
-                "pass the cloud with reference=None"
-            )
+            advice = "scores need both classes. Without scores, pass the cloud with reference=None"
+            raise InputError(f"{caller}: no point of {name} has the reference label {other}: {advice}")
 
 
 class _Scene(Subject):

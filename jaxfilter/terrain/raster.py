@@ -192,10 +192,8 @@ class RasterGrid:
         columns, rows = max(1, right - left), max(1, top - bottom)
         if rows * columns > most:
             extent = f"{bounds[2] - bounds[0]:.6g} x {bounds[3] - bounds[1]:.6g}"
-            raise InputError(
-                f"cell={cell:g} over an extent of {extent} needs {rows * columns:,} cells, more than {most:,}: use larger "
-                "cells or bounds, or remove stray points far from the rest"
-            )
+            wrong = f"cell={cell:g} over an extent of {extent} needs {rows * columns:,} cells, more than {most:,}"
+            raise InputError(f"{wrong}: use larger cells or bounds, or remove stray points far from the rest")
         return cls(cell, left, bottom, columns, rows)
 
     @property
