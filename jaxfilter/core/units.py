@@ -167,11 +167,10 @@ def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
     small = dx < _SMALL and dy < _SMALL and dz > max(dx, dy) and (angles or not stated)
     if not small and not (angles and count > _DENSE * dx * dy):
         return None
-    return (
-        f"{count} points on {dx:.3g} x {dy:.3g} units, with heights over {dz:.3g}, look like "
-        f"{'degrees' if angles else 'a unit far larger than metres'}, so distances cannot be measured; reproject them "
-        "first, for example into their UTM zone, or pass units= if X and Y are lengths"
-    )
+    kind = "degrees" if angles else "a unit far larger than metres"
+    found = f"{count} points on {dx:.3g} x {dy:.3g} units, with heights over {dz:.3g}, look like {kind}"
+    advice = "reproject them first, for example into their UTM zone, or pass units= if X and Y are lengths"
+    return f"{found}, so distances cannot be measured; {advice}"
 
 
 def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> Reference:

@@ -62,10 +62,8 @@ class Calibration:
     def __repr__(self) -> str:
         name = SCORE_NAMES[self.trials.attrs["score"]]
         changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
-        return (
-            f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
-            f"{self.before:.2f} % before; {self.trials.sizes['set']} sets tried"
-        )
+        scores = f"{name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; {self.before:.2f} % before"
+        return f"{type(self.filter).__name__}({changed}): {scores}; {self.trials.sizes['set']} sets tried"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -122,11 +122,10 @@ class Comparison:
             most = int(table["clouds"].max())
             needed = next(n for n in range(1, 99) if len(table) * least_p(n) <= _LEVEL)
             if 0 < most < needed:
-                warn(
-                    f"significance: {most} {by}s cannot give p below {least_p(most):.2g}, nor p_holm below "
-                    f"{min(1.0, len(table) * least_p(most)):.2g}, by the exact signed-rank test; for {len(table)} comparisons at "
-                    f"the level {_LEVEL} at least {needed} {by}s are needed"
-                )
+                least = least_p(most)
+                limits = f"p below {least:.2g}, nor p_holm below {min(1.0, len(table) * least):.2g}"
+                advice = f"for {len(table)} comparisons at the level {_LEVEL} at least {needed} {by}s are needed"
+                warn(f"significance: {most} {by}s cannot give {limits}, by the exact signed-rank test; {advice}")
         return table
 
     def markdown(self, score: str | None = None) -> str:
