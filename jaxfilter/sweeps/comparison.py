@@ -108,7 +108,8 @@ class Comparison:
         >>> compared.significance("total", against="SMRF")[["method", "other", "clouds"]].values.tolist()
         [['MSF', 'SMRF', 1]]
         """
-        names, wide = list(self.by_method(score, by)), _size(self.by_method(score), score)
+        names, wide = list(self.by_method(score, by)), self.by_method(score)
+        wide = abs(wide) if score in SIGNED else wide
         check_choice((None, *names), against=against)
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
         found = [
@@ -120,9 +121,9 @@ class Comparison:
         if len(table):
             table["p_holm"] = holm(table["p"].tolist())
             most = int(table["clouds"].max())
-            needed = next(n for n in range(1, 99) if len(table) * least_p(n) <= _LEVEL)
+            needed = next(n for n in range(1, 99) if len(table) * 2.0 ** (1 - n) <= _LEVEL)
             if 0 < most < needed:
-                least = least_p(most)
+                least = 2.0 ** (1 - most)  # of the two-sided test: all differences have one sign
                 limits = f"p below {least:.2g}, nor p_holm below {min(1.0, len(table) * least):.2g}"
                 advice = f"for {len(table)} comparisons at the level {_LEVEL} at least {needed} {by}s are needed"
                 warn(f"significance: {most} {by}s cannot give {limits}, by the exact signed-rank test; {advice}")
@@ -162,7 +163,7 @@ class Comparison:
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
         spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
-        sizes = _size(wide, score)
+        sizes = abs(wide) if score in SIGNED else wide
         best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
         wins = sizes.map(lambda value: format(value, spec)).eq(best) & wide.notna()
         rows = [{"method": one} | line.to_dict() for one, line in wide.iterrows()]
@@ -191,11 +192,6 @@ def printed(value: Any, spec: str, absent: str = "–") -> str:
     if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
         return absent
     return value if isinstance(value, str) else format(value, spec)
-
-
-def _size(values: Any, score: str) -> Any:
-    """Values of a score, by which methods are compared."""
-    return abs(values) if score in SIGNED else values
 
 
 def compare(
@@ -305,11 +301,6 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
         effect = float(rank @ np.sign(gain[gain != 0]) / rank.sum()) if better + worse else 0.0
         p = float(wilcoxon(gain).pvalue) if better + worse else 1.0
     return {"clouds": len(own), **figures, "better": better, "worse": worse, "effect": effect, "p": p}
-
-
-def least_p(clouds: int) -> float:
-    """The least p that the exact signed-rank test, two-sided, can give for so many clouds: all have the same sign."""
-    return 2.0 ** (1 - clouds)
 
 
 def holm(p: Sequence[float]) -> list[float]:
