@@ -40,17 +40,12 @@ def axes_of(dataset: xarray.Dataset) -> tuple[str, ...]:
     return tuple(str(name) for name, values in dataset.coords.items() if values.dims == ("set",) and name != "set")
 
 
-def check_score(dataset: xarray.Dataset, score: str) -> None:
-    """Raises ParameterError for a score that does not exist."""
-    check_choice([name for name in SCORES if name in dataset], score=score)
-
-
 def mean_score(dataset: xarray.Dataset, score: str) -> xarray.DataArray:
     """The score over the axes of a grid, or over ``set``: percent, the mean over those clouds that have labels.
 
     Raises: ParameterError for a score that does not exist, InputError for one that no cloud had labels for.
     """
-    check_score(dataset, score)
+    check_choice([name for name in SCORES if name in dataset], score=score)
     values = dataset[score]
     if not values.notnull().any():
         raise InputError(f"score={score!r} is undefined for every set: there are no reference labels of both classes")
@@ -72,8 +67,7 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
     """
     import pandas as pd
 
-    if score != "expected" or score not in dataset:
-        check_score(dataset, score)
+    check_choice([name for name in (*SCORES, "expected") if name in dataset], score=score)
     names, figures = axes_of(dataset), [name for name in (*SCORES, "expected", "ground") if name in dataset]
     every = dataset[figures]
     if is_grid(dataset):
