@@ -13,7 +13,6 @@ from .methods import __all__ as METHODS
 
 if TYPE_CHECKING:
     from . import datasets, plots, scenes
-    from .citing import citation
     from .core.cloud import PointCloud
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from .files.reading import Classes, class_changes, read, write
     from .methods import *  # noqa: F403
     from .methods.default import default_filter
+    from .methods.papers import citation
     from .reports.info import info
     from .reports.page import ReportOptions, report
     from .reports.places import review
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .terrain.rasters import breaklines, chm, count, density, dsm, hillshade, voids
 
 _HOMES = {
-    "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
+    "methods.papers": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": METHODS,
     "methods.default": ("default_filter",), "files.reading": ("class_changes", "Classes", "read", "write"),

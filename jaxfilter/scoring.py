@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from .core.cloud import QUANTUM, PointCloud
-from .core.compilation import bucket
 from .core.errors import InputError
 from .core.inputs import GROUND_CLASS, class_numbers, is_laspy
-from .core.process import need_threads
 from .core.result import Decision, FilterResult
-from .metrics import confusion_counts
 
 NEVER_CLASSIFIED = 0
 """The ASPRS class of points that nobody has classified."""
@@ -160,8 +157,7 @@ def evaluate(
         if ignore.shape != (n,) or ignore.dtype != bool:
             raise InputError(f"ignore must be bool[{n}], not {_describe(ignore)}")
         counted = counted & ~ignore
-    ignored = class_numbers(ignore_classes)
-    if ignored:
+    if ignored := class_numbers(ignore_classes):
         if classes is None and isinstance(reference, PointCloud):
             classes = reference.classification
         if classes is None:
@@ -177,7 +173,8 @@ def evaluate(
             counted = counted & reference.candidate
         else:
             raise InputError("candidates_only needs a FilterResult as result or a PointCloud as reference")
-    return Scores.from_confusion(_count(ground, truth, counted))
+    rows = (truth & counted, ~truth & counted)
+    return Scores.from_confusion([[np.count_nonzero(row & one) for one in (ground, ~ground)] for row in rows])
 
 
 def match_points(
@@ -195,8 +192,7 @@ def match_points(
         raise InputError(f"{names[0]} has {n} points and {names[1]} has {m}: they must hold the same points")
     if n == 0:
         return np.zeros(0, np.int64)
-    metres = np.array([reference.units.xy, reference.units.xy, reference.units.z])
-    shift = np.rint((cloud.origin - reference.origin) * metres / QUANTUM) * QUANTUM
+    shift = np.rint((cloud.origin - reference.origin) * reference.units.factor / QUANTUM) * QUANTUM
     ours, theirs = cloud.xyz + shift, reference.xyz.astype(np.float64)
     if np.array_equal(ours, theirs):
         return np.arange(n)
@@ -204,9 +200,8 @@ def match_points(
     differs = (ours[order] != theirs[target]).any(axis=1)
     if differs.any():
         x, y, z = cloud.coordinates()[order[np.argmax(differs)]]
-        raise InputError(
-            f"{names[0]} and {names[1]} do not hold the same points: they differ near ({x:.3f}, {y:.3f}, {z:.3f})"
-        )
+        place = f"({x:.3f}, {y:.3f}, {z:.3f})"
+        raise InputError(f"{names[0]} and {names[1]} do not hold the same points: they differ near {place}")
     match = np.empty(n, np.int64)
     match[order] = target
     return match
@@ -238,11 +233,3 @@ def reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndar
 
 def _describe(values: np.ndarray) -> str:
     return f"{values.dtype} of shape {values.shape}"
-
-
-def _count(ground: np.ndarray, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Confusion matrix i64[2, 2], counted on the device in bucketed arrays."""
-    need_threads()
-    padded = np.zeros((3, bucket(len(ground))), bool)
-    padded[:, : len(ground)] = ground, truth, counted
-    return np.asarray(confusion_counts(*padded)).astype(np.int64)

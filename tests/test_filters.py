@@ -517,9 +517,9 @@ def test_a_calibration_chooses_what_single_calls_choose(alone, monkeypatch):
     axes = {name: (min(values), max(values)) for name, values in alone.axes.items()}
     found = jf.calibrate(alone.sets[0], cloud, labels, axes=axes, size=4, rounds=1, folds=2)
 
-    def single(self, sets):
-        for number, one in enumerate(sets):
-            yield number, self.points.gather(one(cloud).ground)
+    def single(self, filters, numbers):
+        for number in numbers:
+            yield number, self.points.gather(filters[number](cloud).ground)
 
     monkeypatch.setattr(sweep.Subject, "ground_each", single)
     expected = jf.calibrate(alone.sets[0], cloud, labels, axes=axes, size=4, rounds=1, folds=2)

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.citing import citation
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.params import check_fields, filter_params, param, static
 from jaxfilter.methods import FILTERS, SMRF
-from jaxfilter.methods.papers import bibtex
+from jaxfilter.methods.papers import bibtex, citation
 
 METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
 

@@ -179,7 +179,7 @@ def test_maps_have_a_panel_per_pair_and_one_scale(grid):
 
 
 @pytest.mark.parametrize("draw, error, words", [
-    (lambda grid: plots.sweep_curve(grid, "window"), ParameterError, "'window' was not swept; there are slope, threshold, cell"),
+    (lambda grid: plots.sweep_curve(grid, "window"), ParameterError, "axis='window': choose one of 'slope'"),
     (lambda grid: plots.sweep_map(grid, "slope", "slope"), ParameterError, "both 'slope'"),
     (lambda grid: plots.sweep_curves(grid, "f1"), ParameterError, "score='f1'"),
     (lambda grid: best_sets(grid, "f1"), ParameterError, "score='f1': choose one of 'type1'"),

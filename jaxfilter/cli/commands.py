@@ -1,9 +1,5 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
-Rasters, products and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
-``report.py``, the demonstration in ``demo.py``. Options that they share are in ``options.py``, what they print in
-``output.py``, and how they begin and end in ``session.py``.
-
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
 where it is used, so that help stays quick.
@@ -57,7 +53,6 @@ class Program(click.Group):
         return self.layer_command(name) if name in LAYERS else super().get_command(ctx, name)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the subcommand."""
         collect_seldom()
         with stoppable():
             try:
@@ -68,9 +63,7 @@ class Program(click.Group):
                 words = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
                 raise click.UsageError(words, error.ctx) from error
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Say what to type where the first word is a method, a file, or the command of another program."""
         word = args[0]
         if not ctx.resilient_parsing and word not in self.list_commands(ctx):
@@ -105,7 +98,6 @@ class Ground(click.Command):
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Take the words apart as the command of the method does."""
         from ..methods import FILTERS
 
         if args and args[0] in FILTERS:
@@ -149,22 +141,13 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     def complete(context: click.Context, parameter: click.Parameter, word: str) -> list[str]:
         return [name for name in FILTERS if method is None and name.startswith(word)]
 
-    parameters: list[click.Parameter] = [
-        click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True, shell_complete=complete)
-    ]
+    paths = click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True, shell_complete=complete)
+    parameters: list[click.Parameter] = [paths]
     if method is not None:
         presets = click.Choice(list(method.PRESETS))
         parameters += [*flags.options(method), option("--preset", "A named set of parameters.", presets)]
-    parameters += [
-        *BY_DATA,
-        *READING,
-        *WRITTEN,
-        option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
-        REVIEW,
-        BREAKLINES,
-        *RUN_OPTIONS,
-        *SESSION,
-    ]
+    extra = option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True)
+    parameters += [*BY_DATA, *READING, *WRITTEN, extra, REVIEW, BREAKLINES, *RUN_OPTIONS, *SESSION]
     if method is not None:
         return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
     words = "\n".join(f"{name:6} {_summary(kind)}" for name, kind in FILTERS.items())
@@ -172,7 +155,6 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
 
 
 def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: dict[str, Any]) -> Answer:
-    """Run ``ground``."""
     recipe.alone()  # what is wrong with the parameters is said before anything is read
     from ..surveys.ground import ground
 
@@ -185,19 +167,17 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     if report.forecast is not None:
         return plan_answer(report.forecast)
     units, of_class = files.collection.units, classes.ground_class
+    counted = sum(n for (_, new), n in report.classes.items() if new == of_class)
     tell(session, report)
-    logger.info(
-        f"{files.output}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground"
-    )
+    found = f"{report.ground:,} of {report.points:,} points are ground"
+    logger.info(f"{files.output}: {len(report.files):,} files, {found}")
     facts = run_facts(session, report, files) | {
         "units": str(units),
         "metres_per_unit": [units.xy, units.z],
         "ground_class": of_class,
         "noise_class": classes.noise_class,
         "written": dataclasses.asdict(classes),
-        "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
-        if report.classes
-        else None,
+        "of_ground_class": counted if report.classes else None,
         "review": review and str(review),
         "breaklines": breaklines and str(breaklines),
         "all_reset": classes.reset != "none" and not classes.only_ground and classes.other_class != of_class,
@@ -246,8 +226,8 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
 @main.command(params=[option("--json as_json", "Print JSON.", bool)])
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
-    from ..citing import citation
     from ..methods import FILTERS
+    from ..methods.papers import citation
     from .flags import describe, fields
 
     table: dict[str, dict[str, Any]] = {

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from .commands import command
 from .options import take_run
@@ -15,14 +16,10 @@ from .session import BadUsage, Session
 from .values import FOLDER, SEED, option
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..scenes import Scene
 
-CLOUDS, PICTURES = (
-    ("scene.laz", "scene_truth.laz", "scene_ground.laz"),
-    ("before", "truth", "result", "errors", "panel"),
-)
+CLOUDS = ("scene.laz", "scene_truth.laz", "scene_ground.laz")
+PICTURES = ("before", "truth", "result", "errors", "panel")
 DEMO_FILES = (*CLOUDS, *(f"{name}.png" for name in PICTURES))
 
 
@@ -74,8 +71,6 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
 
 def _write_scene(directory: Path, scene: Scene) -> None:
     """The scene as delivered (never classified), and with its true classes. The CRS is one that its coordinates fit."""
-    import numpy as np
-
     from ..files.reading import write
 
     directory.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ import click
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, on_command_line, option
+from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Number, on_command_line, option, size
 
 if TYPE_CHECKING:
     from ..files.classes import Classes
@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from ..surveys.options import RunOptions
 
 T = TypeVar("T")
-STATED_OPTIONS = [
+STATED = [
     option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"),
-    option(
-        "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
-    ),
+    option("--crs", "CRS of files that state none, like EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"),
 ]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
 AOI = option(
@@ -40,7 +38,7 @@ DUPLICATES = option(
 )
 DROP_INVALID = option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool)
 READING = [
-    *STATED_OPTIONS,
+    *STATED,
     BOUNDS,
     AOI,
     option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
@@ -87,30 +85,23 @@ WRITTEN = [
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
 PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
 FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
-LARGEST_BUILDING = option(
-    "--largest-building", "Width of the largest building; sets what depends on it, as --for-cloud does.", METRES
-)
+_WIDTH = "Width of the largest building; sets what depends on it, as --for-cloud does."
+LARGEST_BUILDING = option("--largest-building", _WIDTH, METRES)
 BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
-BREAKLINES = option(
-    "--breaklines", "Also write the outlines of water bodies, with their level, as .gpkg or .geojson.", OUTPUT
-)
+BREAKLINES = option("--breaklines", "Also write outlines of waters with their level, as .gpkg or .geojson.", OUTPUT)
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 _OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
-GROUND_OPTIONS = [*FILTER, CLASSES, *STATED_OPTIONS, AOI, DROP_INVALID]
+GROUND_OPTIONS = [*FILTER, CLASSES, *STATED, AOI, DROP_INVALID]
 """What is ground."""
 RUN_OPTIONS = [
-    option(
-        "--tile", "Side of the tiles of large data.  [default: as their points allow, at most about 7 million]", METRES
-    ),
-    option(
-        "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
-    ),
+    option("--tile", "Side of the tiles of large data.  [default: as their points allow]", METRES),
+    option("--halo", "Width around each tile that is read too.  [default: what the method needs]", click.FloatRange(0)),
     option("--wide-halos", "Accept a --tile so small that halos hold more than twice its points.", bool),
     option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
-    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", Bytes()),
+    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", size),
     option("--scheduler client", "Address of a Dask scheduler, whose workers then do the work.", "ADDRESS"),
     option("--work", "Local folder for what a run keeps to go on; several files into a URL need one.", "FOLDER"),
     option("--resume", "Go on with the run that was begun for OUT.", bool),
@@ -120,8 +111,8 @@ RUN_OPTIONS = [
 ]
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
-MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
-SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED_OPTIONS, MEMORY, THREADS]
+MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", size, default="2GB")
+SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)
 
@@ -138,8 +129,7 @@ def take_classes(options: dict[str, Any]) -> Classes:
     """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
     from ..files.classes import Classes
 
-    said = on_command_line(vars(Classes()))
-    return Classes.preset(options.pop("preset_of_classes"), **said)
+    return Classes.preset(options.pop("preset_of_classes"), **on_command_line(vars(Classes())))
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:
@@ -154,9 +144,8 @@ def take_run(options: dict[str, Any], session: Session) -> RunOptions:
         many = standing.tiles > 1
         if many and not noted:
             noted = True
-            session.note(
-                f"{standing.tiles:,} tiles; with their surroundings each point is read {standing.times_read:.1f} times"
-            )
+            read = f"each point is read {standing.times_read:.1f} times"
+            session.note(f"{standing.tiles:,} tiles; with their surroundings {read}")
         note = f"{standing.tiles_done:,} of {standing.tiles:,}" if many else ""
         session.progress(standing.share, standing.step, note, standing.rate if many else None)
 
@@ -279,7 +268,10 @@ def open_files(
         raise BadUsage(f"OUT is missing: name {what}")
     output = out or ", ".join(inputs)
     if out == "-":
-        out = str(session.piped(suffixes[-1] if suffixes else _suffix_of(inputs), run.resume))
+        suffix, several = Path(inputs[0]).suffix, any(c in inputs[0] for c in "*?[") or Path(inputs[0]).is_dir()
+        if not suffixes and (several or len(inputs) > 1 or not suffix):
+            raise BadUsage("-: standard output takes one file: name a folder")
+        out = str(session.piped(suffixes[-1] if suffixes else suffix, run.resume))
     if out is not None:
         if suffixes:
             check_target(place_of(out), run.overwrite or run.resume, suffixes)
@@ -290,11 +282,3 @@ def open_files(
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")
     return Files(session, inputs, out, collection, reading, run, output)
-
-
-def _suffix_of(inputs: Sequence[str]) -> str:
-    """Of the one file that is read. Raises BadUsage for what becomes several files."""
-    suffix = Path(inputs[0]).suffix
-    if len(inputs) > 1 or not suffix or any(c in inputs[0] for c in "*?[") or Path(inputs[0]).is_dir():
-        raise BadUsage("-: standard output takes one file: name a folder")
-    return suffix

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import json
@@ -88,10 +87,8 @@ def tell(session: Session, report: RunReport) -> None:
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
     if places := report.places:
-        listed = [
-            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
-            for one in places[:_PLACES_LISTED]
-        ]
+        top = places[:_PLACES_LISTED]
+        listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})" for one in top]
         more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
@@ -203,13 +200,9 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:
                     shutil.copyfileobj(file, sys.stdout.buffer)
-        with contextlib.ExitStack() as stack:
-            if session.pipe is not None:
-                stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-            if as_json:
-                click.echo(json_text(session.as_dict() | answer.facts))
-            elif answer.always or not session.quiet:
-                click.echo(answer.text)
+        if as_json or answer.always or not session.quiet:
+            text = json_text(session.as_dict() | answer.facts) if as_json else answer.text
+            click.echo(text, err=session.pipe is not None)
         if not answer.complete:
             click.get_current_context().exit(1)
 

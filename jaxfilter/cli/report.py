@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from ..core.errors import InputError
 from ..core.reading import Reading
 from .commands import command
-from .options import BOUNDS, FILTER, REPLACE, STATED_OPTIONS, THREADS, check_target, take, take_recipe
+from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
 from .output import Answer, times
 from .session import BadUsage, Session
 from .values import CLASS, COUNT, INPUT, OUTPUT, option
@@ -38,7 +40,7 @@ OWN = "own"
     ),
     option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
     option("--title", "Title of the page.  [default: the name of IN]"),
-    *(BOUNDS, *STATED_OPTIONS, THREADS, REPLACE),
+    *(BOUNDS, *STATED, THREADS, REPLACE),
 )
 def report(session: Session, source: Path, target: Path, reference: str | None, **options: Any) -> Answer:
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
@@ -48,7 +50,7 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     """
     from ..files.reading import read
     from ..reports.page import PAGE_SUFFIXES, ReportOptions
-    from ..reports.page import report as write_report
+    from ..reports.page import report as make_page
 
     name, overwrite = target, options["overwrite"]
     if str(target) == "-":
@@ -71,33 +73,20 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
             result = filter_(cloud, workers=shown.workers, progress=session.progress)
         ground = result.ground
     else:
-        result = ground = _labels(cloud, source, options["ground_class"])
+        ground = cloud.reference if cloud.classification is None else cloud.classification == options["ground_class"]
+        if ground is None and len(cloud):
+            raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
+        result = ground = cloud.candidate if ground is None else ground
     with session.step("report", len(cloud)):
-        write_report(
-            cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
-        )
+        make_page(cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress)
     size, count = target.stat().st_size, int(ground.sum())
     facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
     text = f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}"
     return Answer(facts, text)
 
 
-def _labels(cloud: PointCloud, source: Path, ground_class: int) -> Any:
-    """bool[n]: the ground by the cloud's own classes or labels. Raises InputError if it has none."""
-    from ..core.errors import InputError
-
-    if cloud.classification is not None:
-        return cloud.classification == ground_class
-    if cloud.reference is None and len(cloud):
-        raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-    return cloud.candidate if cloud.reference is None else cloud.reference
-
-
 def _reference(cloud: PointCloud, source: Path, reference: str, how: Reading) -> Any:
     """i8[n] for the points of the cloud: 1 = ground, 0 = object, -1 = unlabelled. Raises InputError."""
-    import numpy as np
-
-    from ..core.errors import InputError
     from ..files.reading import read
     from ..scoring import match_points, reference_labels
 

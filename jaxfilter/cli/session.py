@@ -112,9 +112,7 @@ class Session:
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
-    def __init__(
-        self, *, quiet: bool, debug: bool, log: Path | None = None, progress_every: float = LINE_EVERY
-    ) -> None:
+    def __init__(self, quiet: bool, debug: bool, log: Path | None = None, progress_every: float = LINE_EVERY) -> None:
         self.quiet, self.debug, self.log = quiet, debug, log
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}
@@ -285,12 +283,9 @@ class Session:
 class _LogFile(logging.FileHandler):
     """A log whose disk may be full: that is said once, and the work goes on."""
 
-    lost = False
-
     def handleError(self, record: logging.LogRecord) -> None:
-        if not self.lost:
-            click.echo(f"warning: --log {self.baseFilename}: cannot be written on: {sys.exc_info()[1]}", err=True)
-        self.lost = True
+        logger.removeHandler(self)
+        click.echo(f"warning: --log {self.baseFilename}: cannot be written on: {sys.exc_info()[1]}", err=True)
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

@@ -11,7 +11,7 @@ import click
 
 from ..core.reading import Reading
 from .commands import command
-from .options import REPLACE, STATED_OPTIONS, check_target, open_survey, take
+from .options import REPLACE, STATED, check_target, open_survey, take
 from .output import Answer, count, table_text
 from .session import Session
 from .values import OUTPUT, option
@@ -25,7 +25,7 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 
 @command(
     click.Argument(["names"], metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True),
-    *STATED_OPTIONS,
+    *STATED,
     option("--vpc", "Write the survey as a virtual point cloud.", OUTPUT),
     option("--map picture", "Draw a map of the files as PNG, PDF or SVG.", OUTPUT),
     REPLACE,

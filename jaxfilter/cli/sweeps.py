@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 _VALUES = "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from."
-_DESIGN = (
-    "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ..."
-)
+_DESIGN = "All combinations; --size sets drawn randomly or by Sobol; or the first values of all axes, the second, ..."
 _SEARCHED = "Search this field between these values.  [default: the thresholds of the method]"
 
 

@@ -22,20 +22,13 @@ COUNT, SEED = click.IntRange(1), click.IntRange(0)
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
-class Bytes(click.ParamType):
-    """A number of bytes, a million or more: 4e9, 4GB, 512MiB."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Bytes of a text."""
-        if isinstance(value, float):
-            return value
-        found = re.fullmatch(r"([\d.]+(?:e\d+)?)\s*([kmgt]?i?)b?", str(value).strip().lower())
-        size = 0.0 if found is None else float(found[1]) * _UNITS[found[2]]
-        if size < 1e6:
-            self.fail(f"{value!r} is no number of bytes, such as 4GB or 512MiB.", param, ctx)
-        return size
+def size(text: str) -> float:
+    """A number of bytes, a million or more: 4e9, 4GB, 512MiB. A type for click."""
+    found = re.fullmatch(r"([\d.]+(?:e\d+)?)\s*([kmgt]?i?)b?", text.strip().lower())
+    number = 0.0 if found is None else float(found[1]) * _UNITS[found[2]]
+    if number < 1e6:
+        raise click.BadParameter(f"{text!r} is no number of bytes, such as 4GB or 512MiB.")
+    return number
 
 
 class Number(click.ParamType):
@@ -46,7 +39,6 @@ class Number(click.ParamType):
         self.name = base.__name__ + ("|none" if optional else "")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """A value of a text."""
         if self.optional and isinstance(value, str) and value.lower() == "none":
             return None
         try:

@@ -9,17 +9,7 @@ import click
 
 from ..core.reading import Reading
 from .commands import command
-from .options import (
-    READING,
-    RUN_OPTIONS,
-    STATED_OPTIONS,
-    check_inputs,
-    check_target,
-    open_files,
-    open_survey,
-    take,
-    take_run,
-)
+from .options import READING, RUN_OPTIONS, STATED, check_inputs, check_target, open_files, open_survey, take, take_run
 from .output import Answer, answer_of, count, run_facts, tell
 from .session import BadUsage, Session
 from .values import CLASS, IN_OUT, INPUT, option
@@ -30,7 +20,7 @@ _RUN = [one for one in RUN_OPTIONS if one.name in ("workers", "memory", "client"
 @command(
     IN_OUT,
     option("--classified classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
-    *STATED_OPTIONS,
+    *STATED,
     *_RUN,
 )
 def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], **options: Any) -> Answer:
@@ -82,9 +72,8 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     tell(session, report)
     said = ", ".join(f"{n} {word}" for word, n in report.applied.items()) or "none"
     text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} were before"
-    text += (
-        f"; {count(report.changed, 'point')} in {count(len(report.files), 'file')} changed in {report.elapsed:.1f} s"
-    )
+    changed = f"{count(report.changed, 'point')} in {count(len(report.files), 'file')}"
+    text += f"; {changed} changed in {report.elapsed:.1f} s"
     if report.problems:
         text += f"; {count(len(report.problems), 'verdict')} left out"
     return Answer(run_facts(session, report), text, complete=report.complete)
@@ -94,7 +83,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     click.Argument(["names"], metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True),
     option("--checkpoints", "Check points as CSV: x, y, z, and if you like land_cover and vertical_datum.", INPUT),
     option("--classified ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
-    *STATED_OPTIONS,
+    *STATED,
     *_RUN,
 )
 def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None, **options: Any) -> Answer:

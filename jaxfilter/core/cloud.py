@@ -141,10 +141,8 @@ class PointCloud:
             bad = int(len(xyz) - finite.sum())
             odd = "NaN, infinite or masked" if np.ma.is_masked(given) else "NaN or infinite"
             if not drop_invalid:
-                raise InputError(
-                    f"{name}: {bad} of {len(xyz)} points have {odd} coordinates; remove them, or pass "
-                    "drop_invalid=True to label them non-ground"
-                )
+                advice = "remove them, or pass drop_invalid=True to label them non-ground"
+                raise InputError(f"{name}: {bad} of {len(xyz)} points have {odd} coordinates; {advice}")
             warn(f"{name}: {bad} points with {odd} coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)

@@ -36,13 +36,10 @@ def bucket(n: int, smallest: int = 1024) -> int:
 def on_processor() -> contextlib.AbstractContextManager[Any]:
     """In this block JAX runs on the processor, unless the caller has chosen a default device: for kernels that do so little
     with so many small arrays that the way to another device and back takes longer."""
-    chosen = jax.config.jax_default_device is not None  # type: ignore[attr-defined]
-    if chosen or jax.default_backend() == "cpu":
-        return contextlib.nullcontext()
-    try:
-        return jax.default_device(jax.local_devices(backend="cpu")[0])
-    except RuntimeError:  # JAX was told to leave the processor alone
-        return contextlib.nullcontext()
+    with contextlib.suppress(RuntimeError):  # JAX was told to leave the processor alone
+        if jax.config.jax_default_device is None and jax.default_backend() != "cpu":  # type: ignore[attr-defined]
+            return jax.default_device(jax.local_devices(backend="cpu")[0])
+    return contextlib.nullcontext()
 
 
 def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iterator[tuple[T, R]]:

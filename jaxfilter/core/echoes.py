@@ -94,9 +94,7 @@ def renumbered(columns: Mapping[str, Any], how: Numbering, name: str) -> np.ndar
     if how is Numbering.SOUND or number is None or not len(number):
         return number
     warn(f"{name}: {how.value}")
-    if how is Numbering.FROM_ZERO:
-        return number + (number < columns["number_of_returns"])
-    return None
+    return number + (number < columns["number_of_returns"]) if how is Numbering.FROM_ZERO else None
 
 
 def echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numbers
 import sys
 import warnings
+from collections.abc import Collection
 from typing import Any
 
 SIZES = (1e-9, 1e9)  # least and largest of a number that is not 0: what is beyond is a slip, and overflows somewhere
@@ -79,7 +80,7 @@ def check_positive(unit: str = "", **values: float | None) -> None:
     """Raises: ParameterError for what is not above 0, or beyond :data:`SIZES`; None stands for nothing. ``unit``: in words."""
     for name, value in values.items():
         try:
-            good = value is None or (not isinstance(value, str) and SIZES[0] <= float(value) <= SIZES[1])
+            good = value is None or (not isinstance(value, (str, bool)) and SIZES[0] <= float(value) <= SIZES[1])
         except (TypeError, ValueError, OverflowError):
             good = False
         if not good:
@@ -92,3 +93,10 @@ def check_whole(least: int = 1, most: Any = float("inf"), /, **values: Any) -> N
         if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least or value > most:
             limit = f", at most {most:,}" * (most < float("inf"))
             raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}{limit}")
+
+
+def check_choice(choices: Collection[Any], /, **values: Any) -> None:
+    """Raises: ParameterError for what is none of the choices."""
+    for name, value in values.items():
+        if value not in choices:
+            raise ParameterError(f"{name}={value!r}: choose one of {', '.join(map(repr, choices))}")

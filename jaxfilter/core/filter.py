@@ -14,8 +14,8 @@ import numpy as np
 
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn, keep_compilations
-from .errors import InputError, ParameterError, check_whole, warn
-from .params import Preset, check_fields, declared, is_number
+from .errors import InputError, ParameterError, check_positive, check_whole, warn
+from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, has_area, plain_points
 from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
@@ -125,8 +125,7 @@ class Filter:
         >>> filter_.cell, filter_.window
         (1.0, 15.0)
         """
-        if largest_building is not None and not (is_number(largest_building) and largest_building > 0):
-            raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
+        check_positive(" of metres", largest_building=largest_building)
         points = canonical_points(as_cloud(cloud), keep=not cls.ORDER_FREE)
         changes = {**cls.from_points(points, largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
@@ -330,10 +329,8 @@ def check_resources(workers: int | None, memory: float = 1.0, key: Any = None) -
 def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
     """Labels for clouds in which there is nothing to filter, else None."""
     m = len(points)
-    if len(cloud) == 0:
-        return Labels(np.zeros(0, bool), status=Status.NO_POINTS)
     if m == 0:
-        return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
+        return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES if len(cloud) else Status.NO_POINTS)
     z = points.xyz[:, 2]
     three = all(len(np.unique(points.xyz[:few, :2], axis=0)) <= 3 for few in (10, 1000, m))
     if three or not has_area(points.xyz):

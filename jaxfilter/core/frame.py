@@ -66,16 +66,14 @@ class Coordinates:
         Returns: the origin, f64[3], and which points are valid, bool[n] or None for all.
         Raises: InputError unless points far off may be dropped (``drop``), and where float64 does not resolve coordinates.
         """
-        low, high = self.ends(valid)
-        near = self._near(low, high, units.factor, name, drop)
-        if near is not None:
-            valid = near
-            low, high = self.ends(valid)
-        self._check_resolution(low, high, units.factor, name)
+        (low, high), factor = self.ends(valid), units.factor
+        if (near := self._near(low, high, factor, name, drop)) is not None:
+            valid, (low, high) = near, self.ends(near)
+        self._check_resolution(low, high, factor, name)
         if np.isnan(low).any():
             self.local[:] = 0
             return np.zeros(3), valid
-        factor, base = units.factor, np.array([*anchor, 0.0])
+        base = np.array([*anchor, 0.0])
         origin = base + np.floor((low - base) * factor) / factor
         for start in range(0, len(self.local), _ROWS):
             rows = slice(start, start + _ROWS)
@@ -108,9 +106,8 @@ class Coordinates:
                     "drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
                 )
             far = distance > limit / 2
-            warn(
-                f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
-            )
+            stray = f"{int(far.sum())} points more than {limit / 2:g} m from the median of {letter}"
+            warn(f"{name}: {stray} are labelled non-ground")
             near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
         return near
 
@@ -130,10 +127,8 @@ class Coordinates:
         if (wrong := largest * factor >= _RESOLVED).any():
             axis = int(np.argmax(wrong))
             value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
-            raise InputError(
-                f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
-                "scale and offset, or subtract a constant from the coordinates"
-            )
+            wrong = f"{'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m"
+            raise InputError(f"{name}: {wrong}: correct scale and offset, or subtract a constant from the coordinates")
 
 
 def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
@@ -158,10 +153,8 @@ def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
     low, high = SCALE_LIMITS
     for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
         if not low < scale <= high:
-            raise InputError(
-                f"{name}: {axis} scale factor is {scale:g}; it must be above {low:g} and not above {high:g}, the header is "
-                "damaged"
-            )
+            limits = f"it must be above {low:g} and at most {high:g}"
+            raise InputError(f"{name}: {axis} scale factor is {scale:g}; {limits}, the header is damaged")
         if not math.isfinite(offset):
             raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
 

@@ -90,10 +90,9 @@ def grid_over(
     """:func:`lattice_over`, for arrays that hold every cell. Raises InputError, before anything is allocated, when more cells
     than :func:`most_cells` would be needed."""
     grid = lattice_over(xy, cell, offset)
-    if grid.nx * grid.ny > most_cells(len(xy), limit):
+    if (cells := grid.nx * grid.ny) > most_cells(len(xy), limit):
         spread = " x ".join(f"{float(np.ptp(xy[:, axis])):.6g}" for axis in range(2))
-        raise InputError(
-            f"{name}={cell:g} m over an extent of {spread} m needs {grid.nx * grid.ny:.3g} cells for {len(xy):,} points "
-            f"({grid.nx * grid.ny * 4 / 2**30:.1f} GiB a layer): use larger cells, or remove stray points far from the rest"
-        )
+        needed = f"{cells:.3g} cells for {len(xy):,} points ({cells * 4 / 2**30:.1f} GiB a layer)"
+        advice = "use larger cells, or remove stray points far from the rest"
+        raise InputError(f"{name}={cell:g} m over an extent of {spread} m needs {needed}: {advice}")
     return grid

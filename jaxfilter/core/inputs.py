@@ -70,9 +70,8 @@ def class_numbers(values: Iterable[int]) -> tuple[int, ...]:
         if {bool, np.bool_} & set(map(type, given)) or not 0 <= min(out, default=0) <= max(out, default=0) <= 255:
             raise ValueError
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"ignore_classes={values!r}: several whole numbers from 0 to 255 are needed, such as (7, 18), or () for none"
-        ) from error
+        wanted = "several whole numbers from 0 to 255 are needed, such as (7, 18), or () for none"
+        raise InputError(f"ignore_classes={values!r}: {wanted}") from error
     return out
 
 
@@ -91,9 +90,8 @@ def _names_of(points: Any) -> tuple[str, ...]:
 
 def is_structured(points: Any) -> bool:
     """Whether these are named columns: a structured array, or a table or an object with X, Y and Z."""
-    return bool(getattr(getattr(points, "dtype", None), "names", None)) or set("xyz") <= set(
-        map(_plain, _names_of(points))
-    )
+    names = set(map(_plain, _names_of(points)))
+    return bool(getattr(getattr(points, "dtype", None), "names", None)) or set("xyz") <= names
 
 
 def laspy_parts(
@@ -125,9 +123,8 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
     """Arguments of ``PointCloud.from_arrays``; see ``PointCloud.from_structured``. Raises InputError without X, Y or Z."""
     named = {_plain(key): key for key in _names_of(points)}
     if missing := [axis for axis in "xyz" if axis not in named]:
-        raise InputError(
-            f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {', '.join(named.values())}"
-        )
+        there = ", ".join(named.values())
+        raise InputError(f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {there}")
 
     def get(field: str) -> Any:
         key = named[_plain(field)]

@@ -34,9 +34,7 @@ _DOMAIN = re.compile(rf"(?P<symbol>\w*) ?(?P<range>{_LIMIT}(?: and {_LIMIT})?)? 
 def _field(doc: str, domain: str, default: Any, **more: Any) -> Any:
     found = _DOMAIN.fullmatch(domain)
     if found is None:
-        raise ValueError(
-            f"domain={domain!r}: a symbol, limits and a unit are needed, such as 's > 0 and <= 90 degrees'"
-        )
+        raise ValueError(f"domain={domain!r}: a symbol, limits and a unit are needed, as in 's > 0 and <= 90 degrees'")
     facts = found.groupdict("")
     limits = {sign: float(bound) for sign, bound in map(str.split, re.findall(_LIMIT, facts["range"]))}
     return dataclasses.field(default=default, metadata={"doc": doc, **facts, "limits": limits, **more})
@@ -144,16 +142,13 @@ def check_fields(params: Any) -> None:
         object.__setattr__(params, f.name, value)
         if traced:
             if meta.get("static"):
-                raise ParameterError(
-                    f"{name}({f.name}=...): the field fixes shapes of arrays or a path through the code, and cannot be "
-                    "traced by jax.jit, vmap or grad; make one filter for each value"
-                )
+                why = "the field fixes shapes or a path through the code, and cannot be traced by jax.jit, vmap or grad"
+                raise ParameterError(f"{name}({f.name}=...): {why}; make one filter for each value")
             continue
         if np.ndim(value) > 0:
-            raise ParameterError(
-                f"{name}({f.name}=...): a single value is needed, not an array of shape {np.shape(value)}; "
-                "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
-            )
+            wanted = f"a single value is needed, not an array of shape {np.shape(value)}"
+            advice = "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
+            raise ParameterError(f"{name}({f.name}=...): {wanted}; {advice}")
         given, choices = f"{name}({f.name}={value!r})", meta.get("choices")
         if choices is not None:
             if value not in choices:
@@ -189,9 +184,8 @@ def filter_params(cls: type[T]) -> type[T]:
     as ``max_angle: float = 25.0``, is another default of that field. JAX rebuilds trees with leaves that no user may give
     (stacked arrays, placeholders); so a tree is rebuilt without ``__post_init__``.
     """
-    own = {name for name, kind in inspect.get_annotations(cls).items() if "ClassVar" not in str(kind)} & vars(
-        cls
-    ).keys()
+    kinds = inspect.get_annotations(cls)
+    own = {name for name in kinds.keys() & vars(cls).keys() if "ClassVar" not in str(kinds[name])}
     for base in filter(dataclasses.is_dataclass, cls.__mro__[1:]):
         for field in dataclasses.fields(base):
             if field.name in own and not isinstance(value := vars(cls)[field.name], dataclasses.Field):

@@ -76,8 +76,8 @@ class Points:
     @functools.cached_property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """f64[2] lowest and f64[2] highest x and y, local metres."""
-        low, high = (end.astype(np.float64) for end in ends(self.xyz[:, :2]))
-        return low, high
+        low, high = ends(self.xyz[:, :2])
+        return low.astype(np.float64), high.astype(np.float64)
 
     def offset(self, cell: float) -> tuple[float, float]:
         """Local corner of the grid with cells of this size, metres."""
@@ -126,10 +126,8 @@ class Points:
         if self.cloud.core is None:
             return np.ones(len(self), bool)
         local = (np.array(self.cloud.core).reshape(2, 2) - self.cloud.origin[:2]) * self.cloud.units.xy
-        (low, high), near = local + [[-distance], [distance]], np.empty(len(self), bool)
-        for part in pieces(len(self)):
-            near[part] = ((self.xyz[part, :2] >= low) & (self.xyz[part, :2] <= high)).all(axis=1)
-        return near
+        low, high = local + [[-distance], [distance]]
+        return ((self.xyz[:, :2] >= low) & (self.xyz[:, :2] <= high)).all(axis=1)
 
     def lattice_corner(self, cell: float) -> tuple[float, float]:
         """The corner of a cell of this size at or south-west of all points, local metres."""

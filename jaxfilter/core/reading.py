@@ -74,9 +74,8 @@ class Reading:
         words = self.returns.lower().split(",") if isinstance(self.returns, str) else []
         wanted = {word.strip() for word in words} - {""}
         if not wanted or wanted - {*ECHOES, "all"}:
-            raise InputError(
-                f"returns={self.returns!r}: use a text that lists some of {', '.join(ECHOES)}, with commas, or 'all'"
-            )
+            known = ", ".join(ECHOES)
+            raise InputError(f"returns={self.returns!r}: use a text that lists some of {known}, with commas, or 'all'")
         checked: dict[str, Any] = {
             "returns": ",".join(sorted(wanted)),
             "ignore_classes": class_numbers(self.ignore_classes),

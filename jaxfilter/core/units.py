@@ -74,9 +74,8 @@ def parse_units(text: str | Units) -> Units:
         return text
     parts = [p.strip().lower() for p in text.split(",")] if isinstance(text, str) else []
     if not 1 <= len(parts) <= 2 or any(p not in NAMED_UNITS for p in parts):
-        raise InputError(
-            f"units {text!r} are not known: use one of {', '.join(NAMED_UNITS)}, or a pair XY,Z such as 'us-ft,m'"
-        )
+        known = ", ".join(NAMED_UNITS)
+        raise InputError(f"units {text!r} are not known: use one of {known}, or a pair XY,Z such as 'us-ft,m'")
     xy, z = NAMED_UNITS[parts[0]], NAMED_UNITS[parts[-1]]
     return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
 
@@ -168,11 +167,10 @@ def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
     small = dx < _SMALL and dy < _SMALL and dz > max(dx, dy) and (angles or not stated)
     if not small and not (angles and count > _DENSE * dx * dy):
         return None
-    return (
-        f"{count} points on {dx:.3g} x {dy:.3g} units, with heights over {dz:.3g}, look like "
-        f"{'degrees' if angles else 'a unit far larger than metres'}, so distances cannot be measured; reproject them "
-        "first, for example into their UTM zone, or pass units= if X and Y are lengths"
-    )
+    kind = "degrees" if angles else "a unit far larger than metres"
+    found = f"{count} points on {dx:.3g} x {dy:.3g} units, with heights over {dz:.3g}, look like {kind}"
+    advice = "reproject them first, for example into their UTM zone, or pass units= if X and Y are lengths"
+    return f"{found}, so distances cannot be measured; {advice}"
 
 
 def reference_of(records: Mapping[int, bytes], name: str, wkt: bool = True) -> Reference:
@@ -231,9 +229,8 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
     z = _unit_of(crs, 2) if len(crs.axis_info) > 2 else xy
     for factor, unit in dict.fromkeys((xy, z)):
         if not METRES_PER_UNIT[0] <= factor <= METRES_PER_UNIT[1]:
-            problem = (
-                f"its CRS ({crs.name}) has {factor:g} metres in a unit named {unit!r}, which cannot be; correct it"
-            )
+            wrong = f"{factor:g} metres in a unit named {unit!r}, which cannot be"
+            problem = f"its CRS ({crs.name}) has {wrong}; correct it"
             return Reference(crs, problem=problem, shown=f"{unit} of {factor:g} m")
         known = _linear_unit(unit)
         if known is not None and not math.isclose(factor, known[0], rel_tol=1e-3):
@@ -390,9 +387,7 @@ def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
     )
 
 
-@functools.lru_cache(maxsize=256)
-def _code(crs: pyproj.CRS) -> tuple[str, str] | None:
-    return crs.to_authority()
+_code = functools.lru_cache(maxsize=256)(pyproj.CRS.to_authority)
 
 
 def _numbers(crs: pyproj.CRS) -> dict[str, float]:

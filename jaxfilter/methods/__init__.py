@@ -21,22 +21,8 @@ if TYPE_CHECKING:
     from .stin import STIN
 
 __all__ = [
-    "AGPTD",
-    "ATIN",
-    "CSF",
-    "FILTERS",
-    "FPTD",
-    "IPTD",
-    "MSF",
-    "OST",
-    "PMF",
-    "PPDF",
-    "PTD",
-    "PTDF",
-    "SMRF",
-    "SPF",
-    "STIN",
-]
+    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

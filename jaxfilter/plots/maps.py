@@ -52,9 +52,9 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
         width, height = (max(float(v), QUANTUM) for v in np.ptp(xyz[:, :2], axis=0))
         cell = max(math.sqrt(width * height / len(xyz)), max(width, height) / PICTURE_CELLS)
     grid = grid_over(xyz if over is None else over, cell)
-    lowest = np.full(grid.ny * grid.nx, np.inf, np.float32)
-    np.minimum.at(lowest, grid.flat(xyz), xyz[:, 2])
-    z = np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
+    lowest = np.full(grid.ny * grid.nx, np.nan, np.float32)
+    np.fmin.at(lowest, grid.flat(xyz), xyz[:, 2])
+    z = lowest.reshape(grid.shape)
     far = scipy.ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > PICTURE_REACH
     return np.where(far, np.nan, _fill(z)), grid
 
@@ -78,12 +78,9 @@ def _fill(z: np.ndarray) -> np.ndarray:
 
 def new_figure(size: tuple[float, float]) -> Any:
     """An empty figure of this size in inches, without pyplot."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=200, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=size, dpi=200, layout="constrained")
 
 
 def axes_or_new(ax: Any, size: tuple[float, float]) -> Any:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, ParameterError, check_choice
 from ..core.grid import Grid
 from ..sweeps.best import LARGER_IS_BETTER, SCORE_NAMES, axes_of, cost, is_grid, mean_score, word
 from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
@@ -75,7 +75,7 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
     'kappa (%)'
     """
     values = mean_score(dataset, score)
-    _check_axes(dataset, axis)
+    check_choice(axes_of(dataset), axis=axis)
     ax = axes_or_new(ax, (3.2, 2.6))
     place = _Places(dataset[axis].values)
     if is_grid(dataset):
@@ -170,7 +170,7 @@ def sweep_map(
     ('slope (rise/run)', 'threshold (m)')
     """
     values = mean_score(dataset, score)
-    _check_axes(dataset, x, y)
+    check_choice(axes_of(dataset), x=x, y=y)
     if x == y:
         raise ParameterError(f"sweep_map: x and y are both {x!r}; name two axes")
     ax = axes_or_new(ax, (4.0, 3.1))
@@ -289,13 +289,6 @@ def _is_logarithmic(values: np.ndarray) -> bool:
     if low <= 0 or high < 4 * low:
         return False
     return abs(math.log(middle / math.sqrt(low * high))) < abs(math.log(middle / ((low + high) / 2)))
-
-
-def _check_axes(dataset: xarray.Dataset, *names: str) -> None:
-    swept = axes_of(dataset)
-    for name in names:
-        if name not in swept:
-            raise ParameterError(f"axis {name!r} was not swept; there are {', '.join(swept)}")
 
 
 def _label(axis: Any, dataset: xarray.Dataset, name: str, place: _Places) -> None:

@@ -16,22 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, check_whole
 from ..core.filter import Filter, check_resources
-from ..core.markup import table
 from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, class_name, table_of
 from ..files.disk import check_suffix, new_file
+from ..methods.papers import citation
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
 from .layers import map_layers, places_to_look_at
 from .places import as_result
 from .steps import Steps, steps_of
+from .survey_page import table
 
 PAGE_SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")

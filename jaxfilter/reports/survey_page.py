@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from ..core.markup import table
 from ..core.version import __version__
 from ..files.disk import new_file
 from ..files.storage import Place
@@ -72,3 +71,14 @@ def _draw(layer: Layer, place: Place) -> str:
     picture = colours(np.ma.masked_invalid((z - low) / max(high - low, 1e-6)))
     imsave(png := io.BytesIO(), picture, format="png")
     return f'<img alt="{escape(layer.TITLE)}" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">'
+
+
+def table(heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """An HTML table; the first cell of a row is its heading, integers get thousands separators, everything is escaped."""
+    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heading)
+    lines = []
+    for row in rows:
+        first, *others = (f"{value:,}" if type(value) is int else escape(str(value)) for value in row)
+        lines.append(f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in others)}</tr>')
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table>{top}<tbody>{''.join(lines)}</tbody></table>"

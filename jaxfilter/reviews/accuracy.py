@@ -17,7 +17,6 @@ import shapely
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import DAMAGED, InputError, OutputError
-from ..core.markup import table
 from ..core.reading import Reading
 from ..core.units import vertical
 from ..core.version import __version__
@@ -26,7 +25,7 @@ from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
 from ..reports.page import PAGE_SUFFIXES
-from ..reports.survey_page import page_of
+from ..reports.survey_page import page_of, table
 from ..surveys.collection import Collection
 from ..surveys.collection import open as open_collection
 from ..surveys.options import RunOptions

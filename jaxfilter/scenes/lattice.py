@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 _BLOCK = 64
 
@@ -77,18 +78,9 @@ class Sheet:
     values: np.ndarray
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """f64[n] at x, y f64[n]; beyond the nodes, the nearest cell is extended."""
-        ni, nj = self.values.shape
-        u, v = x / self.cell, y / self.cell
-        i = np.clip(np.floor(u).astype(np.intp), self.i0, self.i0 + ni - 2)
-        j = np.clip(np.floor(v).astype(np.intp), self.j0, self.j0 + nj - 2)
-        u -= i
-        v -= j
-        flat, k = self.values.reshape(-1), (i - self.i0) * nj + (j - self.j0)
-        south = flat[k] + u * (flat[k + nj] - flat[k])
-        k += 1
-        north = flat[k] + u * (flat[k + nj] - flat[k])
-        return south + v * (north - south)
+        """f64[n] at x, y f64[n]; beyond the nodes, that of the nearest one."""
+        at = x / self.cell - self.i0, y / self.cell - self.j0
+        return map_coordinates(self.values, at, order=1, mode="nearest")
 
 
 Detail = Callable[[np.ndarray, Callable[[], np.ndarray], int], np.ndarray]

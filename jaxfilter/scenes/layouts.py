@@ -104,9 +104,8 @@ class SceneLayout:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.settlement > 0 and not sum(self.quarters()) > 0:
-            raise ParameterError(
-                f"SceneLayout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"
-            )
+            kinds = "houses, rows, blocks, towers, halls, parks"
+            raise ParameterError(f"SceneLayout(settlement={self.settlement!r}): one of {kinds} must be > 0")
 
     def quarters(self) -> tuple[float, ...]:
         """Weights of the kinds of quarter, in the order houses, rows, blocks, towers, halls, parks.
@@ -120,55 +119,51 @@ class SceneLayout:
 _WIDE: dict[str, Any] = {"landform": 128, "hurst": 1.2}
 _STRAY: dict[str, Any] = {"low_clusters": 15.0, "low_outliers": 2e-5, "high_outliers": 1e-5}
 
+
+def _ready(**fields: Any) -> SceneLayout:
+    return SceneLayout(**_STRAY | fields)
+
+
 LAYOUTS: dict[str, SceneLayout] = {
-    "flat": SceneLayout(
-        relief=1.5, ditches=1.2, settlement=0.15, rows=0.3, halls=0.3, parks=0.1, forest=0.03, **_STRAY
-    ),
-    "town": SceneLayout(
-        relief=8, hurst=1.2, cutting=6, settlement=0.9, blocks=0.5, halls=0.6, forest=0.3, trees=0.035, **_STRAY
-    ),
-    "city": SceneLayout(
+    "flat": _ready(relief=1.5, ditches=1.2, settlement=0.15, rows=0.3, halls=0.3, parks=0.1, forest=0.03),
+    "town": _ready(relief=8, hurst=1.2, cutting=6, settlement=0.9, blocks=0.5, halls=0.6, forest=0.3, trees=0.035),
+    "city": _ready(
         relief=4, river=28, settlement=1.0, houses=0.2, rows=0.4, blocks=3, towers=0.8, halls=0.8, parks=0.5, cars=0.5,
         trees=0.03, low_vegetation=0.03, low_clusters=40.0, low_outliers=5e-5, high_outliers=2e-5
     ),
-    "hills": SceneLayout(
-        relief=60, **_WIDE, tilt=0.05, cutting=7, scarp=5, settlement=0.25, halls=0.15, parks=0.2, forest=0.35,
-        **_STRAY
+    "hills": _ready(
+        relief=60, **_WIDE, tilt=0.05, cutting=7, scarp=5, settlement=0.25, halls=0.15, parks=0.2, forest=0.35
     ),
-    "mountain": SceneLayout(
+    "mountain": _ready(
         relief=260, landform=512, hurst=0.85, ridges=0.8, tilt=0.2, scarp=15, forest=0.35, conifers=0.9, trees=0.01,
-        low_vegetation=0.08, **_STRAY
+        low_vegetation=0.08
     ),
-    "forest": SceneLayout(
-        relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3, **_STRAY
+    "forest": _ready(
+        relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3
     ),
-    "quarry": SceneLayout(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01, **_STRAY),
-    "terraces": SceneLayout(
+    "quarry": _ready(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01),
+    "terraces": _ready(
         relief=45, landform=128, hurst=1.4, tilt=0.12, terraces=3, settlement=0.1, rows=0, halls=0, parks=0,
-        forest=0.08, trees=0.03, **_STRAY
+        forest=0.08, trees=0.03
     ),
-    "mixed": SceneLayout(
+    "mixed": _ready(
         relief=26, hurst=1.25, scarp=6, terraces=2.5, pit=26, river=18, ditches=1, embankment=4, cutting=6,
-        settlement=0.7, blocks=0.6, towers=0.2, forest=0.35, **_STRAY
+        settlement=0.7, blocks=0.6, towers=0.2, forest=0.35
     ),
-    "benchmark": SceneLayout(
+    "benchmark": _ready(
         relief=45, **_WIDE, scarp=5, river=16, embankment=4, cutting=6, settlement=0.35, blocks=0.3, forest=0.2,
         trees=0.015, low_vegetation=0.08, low_clusters=5.0, low_outliers=5e-6, high_outliers=2e-6
     ),
-    "coast": SceneLayout(
+    "coast": _ready(
         relief=9, landform=128, river=446, cliff=42, face=74, floor=458, bridges=False, settlement=0.1, rows=0,
-        halls=0.2, forest=0.05, scan_angle=15, **_STRAY
+        halls=0.2, forest=0.05, scan_angle=15
     ),
-    "gorge": SceneLayout(
-        relief=24, **_WIDE, river=9, cliff=58, face=68, floor=26, forest=0.4, trees=0.03, scan_angle=15, **_STRAY
-    ),
-    "benches": SceneLayout(
+    "gorge": _ready(relief=24, **_WIDE, river=9, cliff=58, face=68, floor=26, forest=0.4, trees=0.03, scan_angle=15),
+    "benches": _ready(
         relief=16, **_WIDE, cliff=50, face=70, floor=40, bench=12.5, bridges=False, forest=0.3, trees=0.02,
-        scan_angle=15, **_STRAY
+        scan_angle=15
     ),
-    "vineyard": SceneLayout(
-        relief=18, landform=128, hurst=1.4, tilt=0.45, terraces=1.8, vines=0.8, forest=0.08, trees=0.01, **_STRAY
-    ),
-    "canopy": SceneLayout(relief=24, **_WIDE, forest=0.75, trees=0.03, conifers=0.4, penetration=0.1, **_STRAY),
+    "vineyard": _ready(relief=18, landform=128, hurst=1.4, tilt=0.45, terraces=1.8, vines=0.8, forest=0.08, trees=0.01),
+    "canopy": _ready(relief=24, **_WIDE, forest=0.75, trees=0.03, conifers=0.4, penetration=0.1),
 }  # fmt: skip
 """Ready layouts. ``benchmark``, for timings, is at least half ground at any size; ``mixed`` has everything."""

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from .lattice import Layer, Nodes, box_of, smooth_noise, uniform
 from .terrain import BRIDGE_AT, BRIDGE_PERIOD, PERIOD, Patch, TerrainSample, quantile
@@ -60,18 +61,16 @@ class Town:
         self._quarters = quarters = Nodes.over(box_of(*corners), _QUARTER)
         weights = np.cumsum(self._layout.quarters()) / (sum(self._layout.quarters()) or 1.0)
         kind = np.searchsorted(weights[:-1], uniform(seed, Layer.QUARTERS, quarters)[..., 0], side="right")
-        at = self._back(*(((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh()))
+        east, north = (((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh())
+        at = self._turn(east, north, -1)
         settled = patch.settled(*at).reshape(quarters.shape) > patch.settlement_threshold
         self._quarter = np.where(settled, kind, _NONE)
         self._plan()
 
-    def _turn(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
+    def _turn(self, x: np.ndarray, y: np.ndarray, way: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """East and north along the streets, f64[n] each, of x and y; the other way with ``way`` = -1."""
+        c, s = math.cos(self._azimuth), way * math.sin(self._azimuth)
         return c * x + s * y, c * y - s * x
-
-    def _back(self, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
-        return c * east - s * north, s * east + c * north
 
     def _plan(self) -> None:
         """Buildings of all plots of the patch, as arrays [ni * 4, nj * 4]; quarters with fewer plots use the first."""
@@ -113,7 +112,7 @@ class Town:
         corners, undisturbed = [], np.ones(shape, bool)
         for su, sv in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)):
             corner = east + centre_u + su * self._half_u, north + centre_v + sv * self._half_v
-            surface = self._patch(*self._back(corner[0].ravel(), corner[1].ravel()))
+            surface = self._patch(*self._turn(corner[0].ravel(), corner[1].ravel(), -1))
             undisturbed &= surface.undisturbed.reshape(shape)
             corners.append(surface.z.reshape(shape))
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -124,8 +123,8 @@ class Town:
         """The two streets that pass nearest to a place: f64[2] where, and f64[2] their direction, of length 1."""
         at = self._turn(np.array(x), np.array(y))
         east, north = (np.rint(v / _QUARTER) * _QUARTER for v in at)
-        places = self._back(np.array([east, at[0]]), np.array([at[1], north]))
-        ways = self._back(np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+        places = self._turn(np.array([east, at[0]]), np.array([at[1], north]), -1)
+        ways = self._turn(np.array([0.0, 1.0]), np.array([1.0, 0.0]), -1)
         return list(zip(np.stack(places, axis=1), np.stack(ways, axis=1), strict=True))
 
     def locate(self, x: np.ndarray, y: np.ndarray) -> Plot:
@@ -138,9 +137,8 @@ class Town:
         per_side = np.array(_PLOTS)[quarter]
         side = (_QUARTER - 2 * _STREET) / per_side
         a, b = (np.clip(np.floor((v - _STREET) / side), 0, per_side - 1).astype(np.intp) for v in (east, north))
-        return Plot(
-            quarter, east, north, i * 4 + a, j * 4 + b, side, east - _STREET - a * side, north - _STREET - b * side
-        )
+        u, v = east - _STREET - a * side, north - _STREET - b * side
+        return Plot(quarter, east, north, i * 4 + a, j * 4 + b, side, u, v)
 
     def roof(self, plot: Plot) -> Roof:
         """The buildings' roofs."""
@@ -231,10 +229,7 @@ class Woods:
         self._radius = np.where(self._conifer, 1.3 + 0.075 * tall, 1.5 + 0.13 * tall) * (0.85 + 0.3 * draw[5])
         self._z = np.full(ni * nj, np.nan)
         self._z[kept] = z
-        standing = np.zeros((ni + 2, nj + 2), bool)
-        standing[1:-1, 1:-1] = np.isfinite(self._z).reshape(ni, nj)
-        around = [standing[a : a + ni, b : b + nj] for a in range(3) for b in range(3)]
-        self._near = np.logical_or.reduce(around).ravel()
+        self._near = binary_dilation(np.isfinite(self._z).reshape(ni, nj), np.ones((3, 3))).ravel()
         self._shrubs = smooth_noise(seed, Layer.SHRUBS, box, 4) if layout.low_vegetation else None
         self._shrub_threshold = quantile(1 - layout.low_vegetation)
 

@@ -188,8 +188,7 @@ def echoes(patch: Patch, shot: Pulses, footprint: float, noise: float, density: 
     pulse, _ = np.nonzero(there)
     xyz = np.stack([x[pulse], y[pulse], levels[there]], axis=1)
     number = np.cumsum(there, axis=1, dtype=np.uint8)
-    total = number[pulse, -1]
-    return Echoes(xyz, kinds[there], number[there], total)
+    return Echoes(xyz, kinds[there], number[there], number[pulse, -1])
 
 
 def _meet_water(patch: Patch, shot: Pulses, surface: TerrainSample, last: np.ndarray, kind: np.ndarray) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import numbers
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_choice, check_positive, check_whole
 from ..core.grid import Grid, grid_over
 from ..core.params import is_number
 from .lattice import box_of
@@ -97,10 +96,6 @@ class Scene:
             name="scene",
         )
 
-    @functools.cached_property
-    def _terrain(self) -> Terrain:
-        return Terrain(self.layout, self.seed)
-
     def terrain(self, x: Any, y: Any) -> np.ndarray:
         """Elevation of the bare terrain, without noise, f64 of the broadcast shape, at projected x and y in metres.
 
@@ -142,11 +137,11 @@ class Scene:
         """f64 of the broadcast shape of projected x and y: what ``sample`` finds on patches, there in the scene's frame."""
         bx, by = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         fx, fy = bx.ravel() - self.origin[0], by.ravel() - self.origin[1]
-        found = np.empty(len(fx))
+        found, terrain = np.empty(len(fx)), Terrain(self.layout, self.seed)
         tile = np.floor(fx / _TILE) * 2.0**24 + np.floor(fy / _TILE)
         order = np.argsort(tile, kind="stable")
         for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1) if len(order) else []:
-            found[part] = sample(self._terrain.patch(box_of(fx[part], fy[part])), fx[part], fy[part])
+            found[part] = sample(terrain.patch(box_of(fx[part], fy[part])), fx[part], fy[part])
         return found.reshape(bx.shape)
 
     def terrain_grid(self, cell: float) -> tuple[np.ndarray, Grid]:
@@ -159,8 +154,7 @@ class Scene:
         >>> z.shape == (grid.ny, grid.nx)
         True
         """
-        if not (is_number(cell) and cell > 0):
-            raise ParameterError(f"terrain_grid(cell={cell!r}): must be > 0 m")
+        check_positive(" of metres", cell=cell)
         cloud = self.cloud
         grid = grid_over(cloud.xyz, cell, cloud.grid_offset(cell))
         x = cloud.origin[0] + grid.x0 + (np.arange(grid.nx) + 0.5) * cell
@@ -215,8 +209,7 @@ def make(
     layout = LAYOUTS.get(layout, layout) if isinstance(layout, str) else layout
     if not isinstance(layout, SceneLayout):
         raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a SceneLayout")
-    if sensor not in SENSORS:
-        raise ParameterError(f"make(sensor={sensor!r}): choose one of {', '.join(map(repr, SENSORS))}")
+    check_choice(SENSORS, sensor=sensor)
     usual = SENSORS[sensor]
     density, noise, swath = (
         getattr(usual, name) if value is None else value
@@ -235,11 +228,9 @@ def make(
             raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g}{unit}")
     if width * height * density > 1e9:
         raise ParameterError(f"make(size={size!r}, density={density:g}): must be at most 1e9 pulses")
-    if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
-        raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
-    for name, given, choices in (("pattern", pattern, ("parallel", "zigzag")), ("rounding", rounding, ROUNDING)):
-        if given not in choices:
-            raise ParameterError(f"make({name}={given!r}): choose one of {', '.join(map(repr, choices))}")
+    check_whole(0, seed=seed)
+    check_choice(("parallel", "zigzag"), pattern=pattern)
+    check_choice(ROUNDING, rounding=rounding)
     corner = np.rint(np.array(_numbers("origin", origin, 3), np.float64) / rounding) * rounding
 
     terrain = Terrain(layout, int(seed))

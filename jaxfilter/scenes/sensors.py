@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from .lattice import Box, Layer, Nodes, uniform
+from .lattice import Box, Layer, Nodes, box_of, uniform
 from .layouts import Kind
 from .objects import Town
 from .scan import Echoes, Pulses, standing
@@ -82,20 +83,15 @@ def _matched(terrain: Terrain, nodes: Nodes, pixel: float, box: Box, noise: floa
     x, y = ((v + 0.25 + 0.5 * part) * pixel for v, part in zip(nodes.mesh(), draw[:2], strict=True))
     rng = np.random.default_rng((terrain.seed, Layer.MATCHING, nodes.i0 & 0xFFFFFFFF, nodes.j0 & 0xFFFFFFFF))
     at = x.ravel(), y.ravel()
-    patch = terrain.patch((float(x.min()), float(y.min()), float(x.max()), float(y.max())))
+    patch = terrain.patch(box_of(*at))
     surface, solid, kind, upper, woods = standing(patch, Pulses(*at, np.zeros(x.size), rng), 0.0)
     solid, crown = np.fmax(solid, upper), woods.crown(*at)[0]
     leaves = crown > solid
     top, kind = np.where(leaves, crown, solid), np.where(leaves, Kind.HIGH_VEGETATION, kind)
 
     def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
-        """f64[n]: weighted means over pixels, with a Gaussian cut off at three sigmas."""
-        reach, out = math.ceil(3 * sigma), values.reshape(nodes.shape)
-        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-        for _ in range(2):  # each turn ends with the other axis first
-            edged = np.pad(out, ((reach, reach), (0, 0)), mode="edge")
-            out = sum(w * edged[k : k + len(out)] for k, w in enumerate(weights / weights.sum())).T
-        return out.ravel()
+        """f64[n]: weighted means over pixels."""
+        return gaussian_filter(values.reshape(nodes.shape), sigma, mode="nearest", truncate=3.0).ravel()
 
     z, raised = smooth(top, _MATCHED), smooth(top - surface.z, _MATCHED) >= _RAISED
     kind = np.where(raised, np.where(kind == Kind.GROUND, Kind.WALL, kind), Kind.GROUND).astype(np.uint8)

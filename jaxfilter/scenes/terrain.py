@@ -65,9 +65,8 @@ class Terrain:
 
     def patch(self, box: Box) -> Patch:
         """The terrain over a box and :data:`OBJECT_MARGIN` around it."""
-        return Patch(
-            self, (box[0] - OBJECT_MARGIN, box[1] - OBJECT_MARGIN, box[2] + OBJECT_MARGIN, box[3] + OBJECT_MARGIN)
-        )
+        (x0, y0, x1, y1), m = box, OBJECT_MARGIN
+        return Patch(self, (x0 - m, y0 - m, x1 + m, y1 + m))
 
     def course(self, x: np.ndarray, y: np.ndarray) -> Course:
         """Course coordinates of points, f64[n] each."""
@@ -98,6 +97,12 @@ class Patch:
         self.terrain, self.box = terrain, box
         self.layout, self.seed = terrain.layout, terrain.seed
         layout = self.layout
+        self.stream = _GORGE if layout.cliff else _RIVER  # where in the period the river lies, metres
+        self._lake_level = -0.1 * layout.relief - 1.0
+        self._cutting_top = 7 + 1.5 * layout.cutting  # half the width at the level of the land beside it, metres
+        # width of a face, metres: of one from the floor to the land, or that of a bench and its berm
+        self._step = (layout.bench or layout.cliff) / math.tan(math.radians(layout.face)) + _BERM * (layout.bench > 0)
+        self.settlement_threshold = quantile(1 - layout.settlement)  # of ``settled``: above it land is built up
         self._relief = self._fractal()
         self.settled = smooth_noise(self.seed, Layer.SETTLEMENT, box, 8)
         if layout.terraces:
@@ -137,7 +142,7 @@ class Patch:
         if layout.ditches:
             self._ditch(z, x, y, course)
         if layout.cutting:
-            z -= layout.cutting * _dam(course.line(_CUTTING)[0], self.cutting_top, 1.5 * layout.cutting)
+            z -= layout.cutting * _dam(course.line(_CUTTING)[0], self._cutting_top, 1.5 * layout.cutting)
         if layout.embankment:
             foot = 1.6 * layout.embankment
             z += layout.embankment * _dam(course.line(_EMBANKMENT)[0], 4 + foot, foot)
@@ -290,37 +295,11 @@ class Patch:
         heap = np.hypot(0.8 * (np.abs(du) - radius - 34), 0.5 * (dt - 15)) + 1.2 * ragged
         z[near] += np.maximum(9 - np.hypot(0.7 * heap, 1.5), 0)
 
-    @property
-    def _step(self) -> float:
-        """Width of a face: of one from the floor to the land, or that of a bench and its berm, metres."""
-        height = self.layout.bench or self.layout.cliff
-        return height / math.tan(math.radians(self.layout.face)) + (_BERM if self.layout.bench else 0.0)
-
-    @property
-    def stream(self) -> float:
-        """Where in the period the river lies, metres."""
-        return _GORGE if self.layout.cliff else _RIVER
-
-    @property
-    def _lake_level(self) -> float:
-        return -0.1 * self.layout.relief - 1.0
-
-    @property
-    def cutting_top(self) -> float:
-        """Half the width of a cutting at the level of the land beside it, metres."""
-        return 7 + 1.5 * self.layout.cutting
-
-    @property
-    def settlement_threshold(self) -> float:
-        """Value of ``settled`` above which land is built up."""
-        return quantile(1 - self.layout.settlement)
-
     def crossings(self) -> list[tuple[float, float]]:
         """(offset in the period, half span in metres) of what bridges cross."""
         layout = self.layout
-        spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
-        if layout.road:
-            spans.append((_CUTTING, layout.road / 2))
+        spans = [(_CUTTING, self._cutting_top + 2)] if layout.cutting else []
+        spans += [(_CUTTING, layout.road / 2)] if layout.road else []
         if layout.cliff:
             steps = layout.cliff / (layout.bench or layout.cliff)
             return [*spans, (self.stream, layout.floor / 2 + steps * self._step + 14)]

@@ -71,9 +71,7 @@ def _named_labels(labels: Any, several: bool, named: Iterable[str]) -> dict[str,
     else:
         its = list(labels) if several or np.ndim(labels) != 1 else [labels]
         if len(its) != len(names):
-            raise InputError(
-                f"batch: there are {len(names)} clouds and labels of {len(its)}: give those of every cloud"
-            )
+            raise InputError(f"batch: there are {len(names)} clouds and labels of {len(its)}: give those of each cloud")
         found = dict(zip(names, its, strict=True))
     if other := set(names) ^ set(found):
         what = "has no labels" if min(other) in names else "is no cloud"

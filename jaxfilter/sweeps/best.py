@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, check_choice
 
 if TYPE_CHECKING:
     import pandas
@@ -42,24 +40,15 @@ def axes_of(dataset: xarray.Dataset) -> tuple[str, ...]:
     return tuple(str(name) for name, values in dataset.coords.items() if values.dims == ("set",) and name != "set")
 
 
-def check_score(dataset: xarray.Dataset, score: str) -> None:
-    """Raises ParameterError for a score that does not exist."""
-    known = [name for name in SCORES if name in dataset]
-    if score not in known:
-        raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, known))}")
-
-
 def mean_score(dataset: xarray.Dataset, score: str) -> xarray.DataArray:
     """The score over the axes of a grid, or over ``set``: percent, the mean over those clouds that have labels.
 
     Raises: ParameterError for a score that does not exist, InputError for one that no cloud had labels for.
     """
-    check_score(dataset, score)
+    check_choice([name for name in SCORES if name in dataset], score=score)
     values = dataset[score]
     if not values.notnull().any():
-        raise InputError(
-            f"score={score!r} is undefined for every set: the clouds had no reference labels of both classes"
-        )
+        raise InputError(f"score={score!r} is undefined for every set: there are no reference labels of both classes")
     return values.mean("cloud", keep_attrs=True) if "cloud" in values.dims else values
 
 
@@ -78,22 +67,16 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
     """
     import pandas as pd
 
-    if score != "expected" or score not in dataset:
-        check_score(dataset, score)
-    names, shape = axes_of(dataset), dataset[score].isel({"cloud": 0}, missing_dims="ignore").shape
-    columns: dict[str, Any] = {}
-    every = np.arange(int(np.prod(shape)))
-    places = np.unravel_index(every, shape) if is_grid(dataset) else [every] * len(names)
-    for name, place in zip(names, places, strict=True):
-        columns[name] = dataset[name].values[place]
-    for name in (*SCORES, "expected", "ground"):
-        if name in dataset:
-            values = dataset[name]
-            columns[name] = (values.mean("cloud") if "cloud" in values.dims else values).values.ravel()
-    if "cloud" in dataset[score].dims:
-        for number, cloud in enumerate(dataset["cloud"].values):
-            columns[f"{score}_{cloud}"] = dataset[score].isel(cloud=number).values.ravel()
-    frame = pd.DataFrame(columns, index=pd.RangeIndex(len(every), name="set"))
+    check_choice([name for name in (*SCORES, "expected") if name in dataset], score=score)
+    names, figures = axes_of(dataset), [name for name in (*SCORES, "expected", "ground") if name in dataset]
+    every = dataset[figures]
+    if is_grid(dataset):
+        every = every.stack({"set": names}, create_index=False)
+    means = every.mean("cloud") if "cloud" in every.dims else every
+    columns = {name: means[name].values for name in (*names, *figures)}
+    if "cloud" in every.dims:
+        columns |= {f"{score}_{one}": every[score].sel(cloud=one).values for one in every["cloud"].values}
+    frame = pd.DataFrame(columns, index=pd.RangeIndex(every.sizes["set"], name="set"))
     decides = dataset.attrs["score"] if score == "expected" else score
     sorted_ = frame.sort_values(score, ascending=decides not in LARGER_IS_BETTER, kind="stable", na_position="last")
     return sorted_ if count is None else sorted_.head(count)

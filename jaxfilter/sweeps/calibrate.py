@@ -5,27 +5,24 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray
 from scipy.spatial import cKDTree
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError, check_positive, check_whole, warn
+from ..core.errors import InputError, ParameterError, check_choice, check_positive, check_whole, warn
 from ..core.filter import Filter, group_equal
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import SCORE_NAMES, word
-from .design import MAX_SETS, make_design
+from .design import MAX_SETS, make_design, sobol
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
-
-if TYPE_CHECKING:
-    import xarray
 
 DECIDING_SCORES = ("total", "kappa")
 """What is minimised, or maximised: the total error, or kappa, in percent."""
@@ -65,10 +62,8 @@ class Calibration:
     def __repr__(self) -> str:
         name = SCORE_NAMES[self.trials.attrs["score"]]
         changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
-        return (
-            f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
-            f"{self.before:.2f} % before; {self.trials.sizes['set']} sets tried"
-        )
+        scores = f"{name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; {self.before:.2f} % before"
+        return f"{type(self.filter).__name__}({changed}): {scores}; {self.trials.sizes['set']} sets tried"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,9 +104,7 @@ class CrossValidation:
         owner = blocks(side)
         count = np.bincount(owner)
         if len(count) < 2:
-            raise InputError(
-                "labels: all labelled points lie in one block; label points in several places, or pass block="
-            )
+            raise InputError("labels: all of them lie in one block; label points in several places, or pass block=")
         return _deal(count, self.folds)[owner]
 
 
@@ -162,8 +155,7 @@ class Study:
         options: SweepOptions = SweepOptions(),
     ) -> None:
         filter_ = check_filter(filter_)
-        if score not in DECIDING_SCORES:
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, DECIDING_SCORES))}")
+        check_choice(DECIDING_SCORES, score=score)
         self.filter, self.score = filter_, score
         cloud = as_cloud(cloud)
         self.ranges = _ranges_of(filter_, axes)
@@ -172,9 +164,7 @@ class Study:
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
         if not (known & cloud.candidate).any():
-            raise InputError(
-                "labels: all labelled points are set aside before filtering (they are not last echoes, or they are noise)"
-            )
+            raise InputError("labels: all labelled points are set aside before filtering (no last echoes, or noise)")
         self.subject = Subject(filter_, cloud, options)
         points = self.subject.points
         if self.subject.same is not None:
@@ -216,12 +206,8 @@ class Study:
         plan = make_design(self.filter, {name: [one[name] for one in sets] for name in names}, "list")
         found = np.zeros((len(sets), self.folds, 2, 2), np.int64)
         bits = np.zeros((len(sets), self.bits.shape[1]), np.uint8)
-        found_sets = (
-            (group[number], ground)
-            for group in plan.groups
-            for number, ground in self.subject.ground_each([plan.filters[i] for i in group])
-        )
-        for done, (number, ground) in enumerate(found_sets, 1):
+        each = (one for group in plan.groups for one in self.subject.ground_each(plan.filters, group))
+        for done, (number, ground) in enumerate(each, 1):
             called = np.append(ground, False)
             found[number] = self._counts(called)
             if plan.filters[number] == self.filter:
@@ -235,8 +221,7 @@ class Study:
 
     def _counts(self, called: np.ndarray) -> np.ndarray:
         """i64[folds, 2, 2] of labels bool[m + 1]."""
-        cell = self.cell - called[self.row]
-        return np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
+        return np.bincount(self.cell - called[self.row], minlength=4 * self.folds).reshape(self.folds, 2, 2)
 
     def _of(self, confusion: np.ndarray) -> np.ndarray:
         """f64[...]: the score of counts [..., 2, 2]; those to expect are no whole numbers."""
@@ -320,8 +305,6 @@ class Study:
         >>> study.result().filter.threshold in (0.3, 0.5)
         True
         """
-        import xarray as xr
-
         whole = self.confusion.sum(axis=1)
         views = self.expected([-1, *range(self.folds)])  # raises if there is no set
         chosen = self.best(views)
@@ -329,7 +312,7 @@ class Study:
         both = (held_out.sum(axis=2) > 0).all(axis=1) | (self.score == "total")
         columns, fields = self._tried(), {f.name: f for f in declared(self.filter)}
         scores = [Scores.from_confusion(counts) for counts in whole]
-        trials = xr.Dataset(
+        trials = xarray.Dataset(
             {
                 "total": ("set", [s.total for s in scores]),
                 "kappa": ("set", [s.kappa for s in scores]),
@@ -352,7 +335,7 @@ class Study:
     @functools.cached_property
     def _given(self) -> np.ndarray:
         """bool[m]: ground among the candidates, by the filter as it was given."""
-        ((_, ground),) = self.subject.ground_each([self.filter])
+        ((_, ground),) = self.subject.ground_each([self.filter], [0])
         return ground
 
 
@@ -409,16 +392,11 @@ def calibrate(
         if mask.shape != (len(cloud),) or mask.dtype != bool:
             raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
         labels = np.where(known & mask, truth, -1).astype(np.int8)
-    from scipy.stats import qmc  # late: it takes half a second
-
     study = Study(filter_, cloud, labels, axes=axes, score=score, validation=validation, options=options)
     report = progress or silent
     ranges, low, width = study.ranges, np.zeros(len(study.ranges)), np.ones(len(study.ranges))
     for turn in range(rounds):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # no power of two many: their balance is not needed
-            unit = qmc.Sobol(len(ranges), rng=np.random.default_rng([seed, turn])).random(size)
-        place = low + width * unit
+        place = low + width * sobol(size, len(ranges), [seed, turn])
         sets = [{name: r.at(u) for u, (name, r) in zip(row, ranges.items(), strict=True)} for row in place]
         if turn == 0:
             sets[0] = {name: getattr(study.filter, name) for name in ranges}
@@ -431,7 +409,6 @@ def calibrate(
 
 
 def _ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
-    """Checked search ranges. Raises ParameterError."""
     ranges = search_ranges(filter_)
     if axes is not None:
         if not isinstance(axes, Mapping):

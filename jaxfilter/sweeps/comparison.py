@@ -9,12 +9,14 @@ import math
 import statistics
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas
+from scipy.stats import rankdata, wilcoxon
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, JaxfilterError, ParameterError, check_positive, check_whole, warn
+from ..core.errors import InputError, JaxfilterError, ParameterError, check_choice, check_positive, check_whole, warn
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
@@ -25,9 +27,6 @@ from ..terrain.accuracy import FIGURES, dtm_rmse
 from ..terrain.interpolation import Interpolation
 from .best import LARGER_IS_BETTER, SCORES, cost
 from .sweep import check_reference, named_clouds
-
-if TYPE_CHECKING:
-    import pandas
 
 Column = tuple[str, str, str]
 """Key in a row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
@@ -79,10 +78,8 @@ class Comparison:
         >>> compared.by_method("kappa").columns.tolist()
         ['SMRF', 'MSF']
         """
-        if score not in (known := (*_OPTIONAL, *_TIMES)):
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
-        if by not in ("cloud", "group"):
-            raise ParameterError(f"by={by!r}: choose 'cloud' or 'group'")
+        check_choice((*_OPTIONAL, *_TIMES), score=score)
+        check_choice(("cloud", "group"), by=by)
         wide = self.table.pivot_table(index="cloud", columns="method", values=score, dropna=False, sort=False)
         clouds, methods = (list(dict.fromkeys(self.table[name])) for name in ("cloud", "method"))
         return self._means(wide.reindex(clouds, columns=methods), by)
@@ -111,11 +108,9 @@ class Comparison:
         >>> compared.significance("total", against="SMRF")[["method", "other", "clouds"]].values.tolist()
         [['MSF', 'SMRF', 1]]
         """
-        import pandas
-
-        names, wide = list(self.by_method(score, by)), _size(self.by_method(score), score)
-        if against is not None and against not in names:
-            raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
+        names, wide = list(self.by_method(score, by)), self.by_method(score)
+        wide = abs(wide) if score in SIGNED else wide
+        check_choice((None, *names), against=against)
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
         found = [
             {"method": one, "other": other}
@@ -126,13 +121,12 @@ class Comparison:
         if len(table):
             table["p_holm"] = holm(table["p"].tolist())
             most = int(table["clouds"].max())
-            needed = next(n for n in range(1, 99) if len(table) * least_p(n) <= _LEVEL)
+            needed = next(n for n in range(1, 99) if len(table) * 2.0 ** (1 - n) <= _LEVEL)
             if 0 < most < needed:
-                warn(
-                    f"significance: {most} {by}s cannot give p below {least_p(most):.2g}, nor p_holm below "
-                    f"{min(1.0, len(table) * least_p(most)):.2g}, by the exact signed-rank test; for {len(table)} comparisons at "
-                    f"the level {_LEVEL} at least {needed} {by}s are needed"
-                )
+                least = 2.0 ** (1 - most)  # of the two-sided test: all differences have one sign
+                limits = f"p below {least:.2g}, nor p_holm below {min(1.0, len(table) * least):.2g}"
+                advice = f"for {len(table)} comparisons at the level {_LEVEL} at least {needed} {by}s are needed"
+                warn(f"significance: {most} {by}s cannot give {limits}, by the exact signed-rank test; {advice}")
         return table
 
     def markdown(self, score: str | None = None) -> str:
@@ -153,8 +147,6 @@ class Comparison:
         >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        import pandas
-
         columns, rows, best = self._laid_out(score)
         cells = [{title: printed(row.get(key), spec, "--") for key, title, spec in columns} for row in rows]
         bold = [["textbf:--rwrap;" * (key in wins) for key, _, _ in columns] for wins in best]
@@ -171,7 +163,7 @@ class Comparison:
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
         spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
-        sizes = _size(wide, score)
+        sizes = abs(wide) if score in SIGNED else wide
         best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
         wins = sizes.map(lambda value: format(value, spec)).eq(best) & wide.notna()
         rows = [{"method": one} | line.to_dict() for one, line in wide.iterrows()]
@@ -200,11 +192,6 @@ def printed(value: Any, spec: str, absent: str = "–") -> str:
     if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
         return absent
     return value if isinstance(value, str) else format(value, spec)
-
-
-def _size(values: Any, score: str) -> Any:
-    """Values of a score, by which methods are compared."""
-    return abs(values) if score in SIGNED else values
 
 
 def compare(
@@ -242,11 +229,8 @@ def compare(
     >>> bool(compared.table.total.max() < 30)
     True
     """
-    import pandas
-
     named = _named_filters(filters)
-    if choose not in SCORES:
-        raise ParameterError(f"choose={choose!r}: choose one of {', '.join(SCORES)}")
+    check_choice(SCORES, choose=choose)
     check_resources(workers)
     check_positive(" of metres, or None", cell=cell)
     check_whole(0, repeats=repeats)
@@ -276,9 +260,7 @@ def compare(
             costs = np.array([[cost(row[choose], choose) for row in other] for other in others])
             costs = costs[~np.isnan(costs).all(axis=1)]  # the others have no reference
             if not len(costs):
-                raise InputError(
-                    f"compare: no cloud outside of the group {group[place]} has a reference to choose {name} by"
-                )
+                raise InputError(f"compare: no cloud outside group {group[place]} has a reference to choose {name} by")
             best = int(np.argmin(np.nan_to_num(costs, nan=np.inf).mean(axis=0)))
         rows.append(tried[best])
     return Comparison(pandas.DataFrame(rows))
@@ -307,8 +289,6 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
         ``worse``, numbers of clouds; ``effect``, the matched-pairs rank-biserial correlation, and ``p`` of Wilcoxon's signed-rank
         test, two-sided, 0 and 1 where nothing differs. Figures of no clouds are NaN.
     """
-    from scipy.stats import rankdata, wilcoxon
-
     other, own = np.asarray(pairs, np.float64).reshape(-1, 2).T
     gain = np.round(own - other if larger_is_better else other - own, 9)  # so that equal ones are equal
     better, worse = int((gain > 0).sum()), int((gain < 0).sum())
@@ -321,11 +301,6 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
         effect = float(rank @ np.sign(gain[gain != 0]) / rank.sum()) if better + worse else 0.0
         p = float(wilcoxon(gain).pvalue) if better + worse else 1.0
     return {"clouds": len(own), **figures, "better": better, "worse": worse, "effect": effect, "p": p}
-
-
-def least_p(clouds: int) -> float:
-    """The least p that the exact signed-rank test, two-sided, can give for so many clouds: all have the same sign."""
-    return 2.0 ** (1 - clouds)
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ParameterError, check_whole
+from ..core.errors import ParameterError, check_choice, check_whole
 from ..core.filter import Filter, group_equal
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
@@ -47,8 +47,7 @@ def make_design(
     Raises: ParameterError naming the axis and what is wrong, before anything is computed.
     """
     filter_ = check_filter(filter_)
-    if design not in DESIGNS:
-        raise ParameterError(f"design={design!r}: choose one of {', '.join(map(repr, DESIGNS))}")
+    check_choice(DESIGNS, design=design)
     if not isinstance(axes, Mapping) or not axes:
         raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
     drawn = design in ("random", "sobol")
@@ -80,19 +79,13 @@ def make_design(
 
 
 def _values(name: str, values: Any) -> list[Any]:
-    """Plain Python values of an axis."""
     if hasattr(values, "__array__"):
         values = np.asarray(values)
-    if (
-        isinstance(values, (str, bytes, Mapping))
-        or not isinstance(values, (Sequence, np.ndarray))
-        or not np.shape(values)
-    ):
+    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or not np.shape(values):
         raise ParameterError(f"axes: {name}={values!r}: give a list of values")
-    array = list(values)
-    if not array:
+    if len(values) == 0:
         raise ParameterError(f"axes: {name} is empty")
-    out = [value.item() if isinstance(value, np.generic) else value for value in array]
+    out = [value.item() if isinstance(value, np.generic) else value for value in values]
     for value in out:
         if isinstance(value, float) and math.isnan(value):
             raise ParameterError(f"axes: {name}={out!r} holds NaN")
@@ -105,13 +98,8 @@ def _drawn(
     filter_: Filter, fields: Mapping[str, Any], axes: Mapping[str, Any], kind: str, size: int, seed: int
 ) -> dict[str, list[Any]]:
     """Values of every set: a tuple of two numbers is a range, a list the values to choose from."""
-    if kind == "sobol":
-        from scipy.stats import qmc
-
-        unit = qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(max(0, math.ceil(math.log2(size))))
-        unit = unit[:size]
-    else:
-        unit = np.random.default_rng(seed).random((size, len(axes)))
+    shape = size, len(axes)
+    unit = sobol(*shape, seed) if kind == "sobol" else np.random.default_rng(seed).random(shape)
     columns: dict[str, list[Any]] = {}
     for (name, given), u in zip(axes.items(), unit.T, strict=True):
         values = _values(name, given)
@@ -129,3 +117,11 @@ def _drawn(
         drawn = np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int) if whole else low + u * (high - low)
         columns[name] = drawn.tolist()
     return columns
+
+
+def sobol(size: int, dimensions: int, seed: Any) -> np.ndarray:
+    """f64[size, dimensions]: the first points of a scrambled Sobol sequence."""
+    from scipy.stats import qmc  # late: it takes half a second
+
+    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
+    return sequence.random_base2(math.ceil(math.log2(size)))[:size]

@@ -141,13 +141,11 @@ def ground_probability(
         value = weight @ (np.logaddexp(0.0, f) - truth * f) + 0.5 * b @ b
         return float(value), x.T @ (weight * (expit(f) - truth)) + b
 
-    def curvature(b: np.ndarray) -> np.ndarray:
+    def hess(b: np.ndarray) -> np.ndarray:
         p = expit(x @ b + offset)
         return (x.T * (weight * p * (1.0 - p))) @ x + np.eye(len(b))
 
-    fit = minimize(
-        loss, np.zeros(terms.shape[1]), jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-6}
-    )
+    fit = minimize(loss, np.zeros(terms.shape[1]), jac=True, hess=hess, method="trust-exact", options={"gtol": 1e-6})
     return expit(terms @ fit.x + prior)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError
+from ..core.reading import Bounds, inside
 from ..engines.neighbours import nearest, tree_of
-from ..files.disk import Bounds
 from ..scoring import NEVER_CLASSIFIED
 
 SAME = 0.01
@@ -45,8 +45,7 @@ def labels_from(
 
     A position that has both labels is unlabelled. Raises: InputError if a labelled point is not in the cloud.
     """
-    metres = np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
-    known = labels != UNLABELLED
+    metres, known = cloud.units.factor, labels != UNLABELLED
     place = (labelled.origin - cloud.origin) * metres + labelled.xyz[known]
     out = np.full(len(cloud), UNLABELLED, np.int8)
     if not known.any():
@@ -64,10 +63,8 @@ def labels_from(
         absent = absent[~np.isfinite(distance)]
     if len(absent):
         x, y, z = cloud.origin + xyz[absent[0]] / metres
-        raise InputError(
-            f"{name}: {len(absent)} of {len(xyz)} labelled points are not in the cloud, the first near "
-            f"({x:.3f}, {y:.3f}, {z:.3f}); label points of the cloud itself"
-        )
+        missing = f"{len(absent)} of {len(xyz)} labelled points are not in the cloud"
+        raise InputError(f"{name}: {missing}, the first near ({x:.3f}, {y:.3f}, {z:.3f}); label points of the cloud")
     return out
 
 
@@ -76,12 +73,10 @@ def within(cloud: PointCloud, patches: Sequence[Bounds], labels: np.ndarray) -> 
 
     Raises: InputError naming a patch without a labelled point.
     """
-    x, y = cloud.coordinates()[:, :2].T
-    kept = np.zeros(len(cloud), bool)
+    xy, kept = cloud.coordinates(), np.zeros(len(cloud), bool)
     for patch in patches:
-        x0, y0, x1, y1 = patch
-        inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
-        if not (inside & (labels != UNLABELLED)).any():
+        here = inside(xy, patch)
+        if not (here & (labels != UNLABELLED)).any():
             raise InputError(f"bounds {' '.join(f'{v:.10g}' for v in patch)}: no labelled point lies within")
-        kept |= inside
+        kept |= here
     return np.where(kept, labels, UNLABELLED).astype(np.int8)

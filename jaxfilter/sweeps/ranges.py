@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_choice
 from ..core.filter import Filter
 from ..core.params import declared, is_number
 
@@ -24,8 +24,7 @@ class Range:
     scale: str = "linear"
 
     def __post_init__(self) -> None:
-        if self.scale not in RANGE_SCALES:
-            raise ParameterError(f"Range(scale={self.scale!r}): choose one of {', '.join(map(repr, RANGE_SCALES))}")
+        check_choice(RANGE_SCALES, scale=self.scale)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ParameterError(f"Range({self.low!r}, {self.high!r}): the range must go from low to high")
         if self.scale == "log" and self.low <= 0:

@@ -9,10 +9,11 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+import xarray
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import DAMAGED, InputError, ParameterError
@@ -25,9 +26,6 @@ from ..scoring import Scores, reference_labels
 from .best import SCORE_NAMES, SCORES
 from .design import Design, make_design
 from .ranges import check_filter
-
-if TYPE_CHECKING:
-    import xarray
 
 _SAVE_EVERY = 10.0
 """Seconds between writes of a checkpoint."""
@@ -63,12 +61,13 @@ class Subject:
         self.points, self.options = dataclasses.replace(filter_.points_of(cloud), kept={}), options
         self.same = degenerate(cloud, self.points)
 
-    def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:
-        """Number of the set and bool[m], ground, for every set; they differ in traced fields only."""
+    def ground_each(self, filters: Sequence[Filter], numbers: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
+        """Number and bool[m], ground, of some of the filters, which differ in traced fields only."""
         if self.same is not None:
-            return ((number, self.same.ground) for number in range(len(sets)))
-        options = self.options
-        return ground_each(sets[0], self.points, sets, key=options.key, workers=options.workers, memory=options.memory)
+            return ((number, self.same.ground) for number in numbers)
+        sets = [filters[number] for number in numbers]
+        found = ground_each(sets[0], self.points, sets, **vars(self.options))
+        return ((numbers[place], ground) for place, ground in found)
 
 
 def sweep(
@@ -120,8 +119,6 @@ def sweep(
     >>> int(data.ground.sel(slope=0.2, threshold=0.5)) == int(jf.SMRF(slope=0.2)(cloud).ground.sum())
     True
     """
-    import xarray as xr
-
     filter_ = check_filter(filter_)
     plan = make_design(filter_, axes, design, size, seed)
     options = SweepOptions(key, workers, memory)
@@ -142,12 +139,12 @@ def sweep(
                 text = f"{name}: " * several + f"{len(plan.sets)} sets"
                 text += f", group {g + 1} of {len(plan.groups)}" if len(plan.groups) > 1 else ""
                 report(state.done.sum() / jobs, text)
-                for number, ground in scene.ground_each([plan.filters[i] for i in pending]):
-                    state.add(c, pending[number], scene, ground)
+                for number, ground in scene.ground_each(plan.filters, pending):
+                    state.add(c, number, scene, ground)
                     report(state.done.sum() / jobs, text)
     finally:
         state.save()
-    return _dataset(xr, filter_, plan, several, named, state)
+    return _dataset(filter_, plan, several, named, state)
 
 
 def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, PointCloud]]:
@@ -173,10 +170,8 @@ def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None
     truth, counted = reference_labels(cloud)
     for kind, other in ((truth, "ground"), (~truth, "object")):
         if not (counted & kind).any():
-            raise InputError(
-                f"{caller}: no point of {name} has the reference label {other}: scores need both classes. Without scores, "
-                "pass the cloud with reference=None"
-            )
+            advice = "scores need both classes. Without scores, pass the cloud with reference=None"
+            raise InputError(f"{caller}: no point of {name} has the reference label {other}: {advice}")
 
 
 class _Scene(Subject):
@@ -236,9 +231,7 @@ class _State:
             raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:
-                raise InputError(
-                    f"checkpoint {path} belongs to a sweep with other {name}: delete it or name another file"
-                )
+                raise InputError(f"checkpoint {path} is of a sweep with other {name}: delete it or name another file")
         for name, values in self.arrays.items():
             values[...] = data[name]
 
@@ -278,9 +271,7 @@ def _digest(cloud: PointCloud) -> str:
     return digest.hexdigest()
 
 
-def _dataset(
-    xr: Any, filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
-) -> xarray.Dataset:
+def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State) -> xarray.Dataset:
     grid = plan.kind == "grid"
     sizes = {name: len(values) for name, values in plan.axes.items()} if grid else {"set": len(plan.sets)}
     sizes |= {"cloud": len(named)} if several else {}
@@ -303,7 +294,7 @@ def _dataset(
             end = f"_{name}" if several else ""
             share = (counts / len(plan.sets)).astype(np.float32)
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
-    fields = {f.name: f for f in declared(filter_)}
+    fields = {f.name: f for f in declared(base)}
     coords: dict[str, Any] = {
         name: ((name if grid else "set",), values, about(fields[name])) for name, values in plan.axes.items()
     }
@@ -312,13 +303,13 @@ def _dataset(
     if several:
         coords["cloud"] = list(named)
     attrs = {
-        "method": type(filter_).__name__,
-        "parameters": json.dumps(dataclasses.asdict(filter_), default=str),  # type: ignore[call-overload]
+        "method": type(base).__name__,
+        "parameters": json.dumps(dataclasses.asdict(base), default=str),  # type: ignore[call-overload]
         "design": plan.kind,
         "sets": len(plan.sets),
         "groups": len(plan.groups),
     }
-    return xr.Dataset(variables, coords, attrs)
+    return xarray.Dataset(variables, coords, attrs)
 
 
 def about(field: dataclasses.Field[Any]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import ParameterError
+from ..core.errors import check_positive
 from ..core.result import FilterResult
 from .interpolation import Interpolation
 from .layer import Site, grid_of, ground_of
@@ -79,10 +79,8 @@ class HeightErrors:
         >>> jf.dtm_rmse(cloud, truth).as_dict()["border_off_1m"]
         0.0
         """
-        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)[:-2]} | {
-            "off": self.off,
-            "off_1m": self.off_1m,
-        }
+        names = [f.name for f in dataclasses.fields(self)[:-2]]
+        own = {name: getattr(self, name) for name in (*names, "off", "off_1m")}
         parts = (("border_", self.border), ("inside_", self.inside))
         return own | {word + key: value for word, part in parts if part for key, value in part.as_dict().items()}
 
@@ -164,9 +162,7 @@ def differences(
     rim: float,
 ) -> Differences:
     """The models that :func:`dtm_rmse` compares, with its arguments."""
-    for name, value in (("near", near), ("rim", rim)):
-        if value is not None and not 0 < value < math.inf:
-            raise ParameterError(f"dtm_rmse({name}={value!r}): must be a positive number of metres")
+    check_positive(" of metres", near=near, rim=rim)
     grid = grid_of(cloud, cell, None)
     gaps = (interpolation.max_gap, near and near / cloud.units.xy)
     known = dataclasses.replace(interpolation, max_gap=min((gap for gap in gaps if gap is not None), default=None))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.errors import ParameterError, check_positive, check_whole
+from ..core.errors import check_choice, check_positive, check_whole
 from ..core.filter import check_resources
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.linear import Linear as Linear
@@ -53,8 +53,7 @@ class Interpolation:
     level_water: bool = True
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ParameterError(f"method={self.method!r}: choose one of {', '.join(METHODS)}")
+        check_choice(METHODS, method=self.method)
         check_positive(max_gap=self.max_gap, power=self.power)
         check_whole(neighbours=self.neighbours)
 

@@ -55,9 +55,7 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     low, high = place[wet].min(axis=0) - pad, place[wet].max(axis=0) + pad + 1
     shape = tuple((high - low).tolist())
     if shape[0] * shape[1] > _MOST:
-        warn(
-            f"points of class {WATER} are {max(shape) * side:,.0f} m apart: no water is made of them; cut stray points off"
-        )
+        warn(f"points of class {WATER} are {max(shape) * side:,.0f} m apart: they make no water; cut stray points off")
         return None
 
     def cells(points: np.ndarray) -> np.ndarray:
@@ -160,8 +158,6 @@ class WaterRuns:
             (v >= v0 + a * side / metre) & (v <= v0 + b * side / metre)
             for v, v0, a, b in ((y, y0, low[0], high[0]), (x, x0, low[1], high[2]))
         ]
-        if not (near[0].any() and near[1].any()):
-            return values
         out, box = values.copy(), np.ix_(*near)
         level = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
         out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))

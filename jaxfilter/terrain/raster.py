@@ -161,9 +161,7 @@ class Raster:
         except rasterio.errors.RasterioError as error:
             raise InputError(f"{path}: cannot be read as a raster: {error}") from error
         if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
-            raise InputError(
-                f"{path}: only north-up rasters with square cells are understood, not transform {transform}"
-            )
+            raise InputError(f"{path}: only north-up rasters with square cells are read, not transform {transform}")
         kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
         return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
 
@@ -194,10 +192,8 @@ class RasterGrid:
         columns, rows = max(1, right - left), max(1, top - bottom)
         if rows * columns > most:
             extent = f"{bounds[2] - bounds[0]:.6g} x {bounds[3] - bounds[1]:.6g}"
-            raise InputError(
-                f"cell={cell:g} over an extent of {extent} needs {rows * columns:,} cells, more than {most:,}: use larger "
-                "cells or bounds, or remove stray points far from the rest"
-            )
+            wrong = f"cell={cell:g} over an extent of {extent} needs {rows * columns:,} cells, more than {most:,}"
+            raise InputError(f"{wrong}: use larger cells or bounds, or remove stray points far from the rest")
         return cls(cell, left, bottom, columns, rows)
 
     @property
@@ -279,9 +275,7 @@ def write_mosaic(
                 for window, values in windows():
                     known += int(np.count_nonzero(values != profile["nodata"]))
                     if not np.array_equal(file.read(1, window=window), values):
-                        raise OutputError(
-                            f"{path}: cannot be written: what was written reads back otherwise; is the disk full?"
-                        )
+                        raise OutputError(f"{path}: cannot be written: it reads back otherwise; is the disk full?")
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"{path}: cannot be written: {error}") from error
         check(known)
@@ -305,7 +299,7 @@ def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
 
 
 def profile_of(
-    shape: tuple[int, ...], transform: tuple[float, ...], crs: Any, kind: str, nodata: float
+    shape: tuple[int, ...], transform: Iterable[float], crs: Any, kind: str, nodata: float
 ) -> dict[str, Any]:
     """How a GeoTIFF file is made, for rasterio; the arguments are those of a :class:`Raster`."""
     import rasterio
