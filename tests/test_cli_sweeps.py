@@ -122,17 +122,6 @@ def test_axes_are_read_as_written(folder, arguments, expected):
     assert json.loads(result.stdout)["parameters"]["scaling"] == (2.0 if "scaling=2" in arguments else 1.25)
 
 
-def test_designs_draw_from_ranges_and_choose_from_values(folder):
-    axes = ("--axis", "slope=0.1..0.3", "--axis", "cell=1,1.05", "--design", "sobol", "--size", 8, "--seed", 5)
-    report, found = facts("sweep", "smrf", folder / "truth.laz", folder / "out", *axes), stored(folder)
-    slope = found["slope"].values
-    assert dict(found.sizes) == {"set": 8} and report["groups"] == 2
-    assert len(set(slope)) == 8 and slope.min() >= 0.1 and slope.max() <= 0.3
-    assert sorted(found["cell"].values.tolist()) == [1.0] * 4 + [1.05] * 4
-    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
-    np.testing.assert_array_equal(table["slope"], slope[table.index])
-
-
 def test_values_that_are_none_or_words_are_stored_as_words(folder):
     axes = ("--axis", "fill=neighbours,zero", "--axis", "low_clusters=yes,no", "--design", "list")
     facts("sweep", "spf", folder / "truth.laz", folder / "out", *axes)

@@ -8,7 +8,7 @@ import pytest
 
 from jaxfilter.core.result import Decision
 from jaxfilter.engines.tin import facets as kernels
-from jaxfilter.engines.tin.facets import FACET_QUANTITIES, FacetScore, Rule, mirrored
+from jaxfilter.engines.tin.facets import FacetScore, Rule, mirrored
 
 
 def judge(rule, late, points, facets, **names):
@@ -52,30 +52,6 @@ def test_scores_equal_float64_geometry_also_far_from_the_origin(scene):
         s = run(Rule(), points + move, facets + move)
         for got, want in zip((s.distance, s.height, s.angle, s.elevation, s.slope), expected, strict=True):
             np.testing.assert_allclose(got, want, atol=2e-3, rtol=2e-4)
-
-
-@pytest.mark.parametrize("late", [False, True])
-def test_a_point_has_the_same_result_among_few_and_among_many(scene, late):
-    points, facets = (np.tile(a, (25, *[1] * (a.ndim - 1)))[:8192] for a in scene)
-    rule = Rule(max_angle=np.float32(20), max_elevation=np.float32(1.4))
-    many = judge(rule, np.full(8192, late), points, facets)
-    for size in (7, 300, 1024):
-        few = judge(rule, np.full(size, late), points[:size], facets[:size])
-        for name in FACET_QUANTITIES:
-            np.testing.assert_array_equal(few[name], many[name][:size], err_msg=name)
-
-
-def test_thresholds_of_each_point(scene):
-    points, facets = scene
-    late = np.zeros(len(points), bool)
-    angle = np.resize(np.float32([2, 10, 40]), len(points))
-    floor = np.resize(np.float32([-1, 0.5]), len(points))
-    each = judge(Rule(max_angle=angle, noise_floor=floor, max_distance=np.float32(1)), late, points, facets)
-    for limit, noise in {*zip(angle.tolist(), floor.tolist(), strict=True)}:
-        own = (angle == limit) & (floor == noise)
-        one = judge(Rule(*map(np.float32, (limit, np.inf, 1, np.inf, noise, 0))), late, points, facets)
-        assert 0 < one["accepted"][own].sum() < own.sum()
-        assert all(np.array_equal(each[name][own], one[name][own]) for name in one)
 
 
 def test_rules(scene):
