@@ -155,11 +155,3 @@ def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(s
         is_object[points.member[cloud.reference[points.index]]] = False
         seeds = lowest_per_adaptive_cell(points, 6.0, is_object, levels=1, remainder="own_cells")
         assert len(seeds.rows) == printed
-
-
-@pytest.mark.data
-def test_without_labels_a_second_level_helps_where_ptd_has_too_few_seeds(sample):
-    for number, at_most in ((51, 7.0), (52, 20.0)):
-        cloud = sample(number)
-        one, two = (jf.evaluate(jf.AGPTD(levels=n)(cloud), cloud.reference).total for n in (1, 2))
-        assert two < one - 2.0 and two < at_most

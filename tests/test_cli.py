@@ -373,11 +373,6 @@ def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, wor
     assert everything(folder) == before
 
 
-def test_names_of_files_in_python_are_answered_with_the_call_that_takes_them():
-    with pytest.raises(jf.InputError, match=r"pass jaxfilter\.read\('in.laz'\)"):
-        jf.SMRF()("in.laz")
-
-
 def test_help_of_the_default_lists_its_options_and_the_methods():
     shown = run("ground", "--help").stdout
     assert all(f"\n  {words} " in shown for words in ("--overwrite", "--noise-class", "--review", "smrf", "ost"))

@@ -16,37 +16,35 @@ import jaxfilter as jf  # noqa: E402
 from experiments import remake, report  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
 from experiments.benchmark import run as benchmark  # noqa: E402
-from experiments.default import run as default_run  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021, ppdf2023  # noqa: E402
+from experiments.papers import li2021  # noqa: E402
 from experiments.scenes import clouds as sites  # noqa: E402
 from experiments.scenes import measures  # noqa: E402
 from experiments.scenes import run as scenes  # noqa: E402
 from jaxfilter.sweeps.ranges import search_ranges  # noqa: E402
 
 
-def test_means_of_the_published_tables_are_those_that_their_papers_print():
-    table = samples.published("li2021_table4")
-    for method, total, kappa, seconds in (("fptd", 6.12, 79.76, 2.82), ("ptd", 11.23, 69.63, 33.39)):
-        rows = [row for row in table if row["method"] == method and row["sample"] != "average"]
+@pytest.mark.parametrize("name, columns", [
+    ("li2021_table4", "total kappa seconds"), ("chen2023_table2", "type1 type2 total"),
+    ("zheng2024_table6", "type1 type2 total kappa"),
+])  # fmt: skip
+def test_averages_that_a_paper_prints_are_those_of_its_rows(name, columns):
+    table = samples.published(name)
+    for printed in (row for row in table if row["sample"] == "average"):
+        rows = [row for row in table if row["method"] == printed["method"] and row["sample"].startswith("samp")]
         assert [row["sample"] for row in rows] == [f"samp{number}" for number in samples.SAMPLES]
-        for key, printed in (("total", total), ("kappa", kappa), ("seconds", seconds)):
-            assert statistics.fmean(row[key] for row in rows) == pytest.approx(printed, abs=0.011)
-    pingel = samples.published("pingel2013")
-    assert statistics.fmean(row["kappa_oracle"] for row in pingel) == pytest.approx(90.02, abs=0.005)
-    assert statistics.fmean(row["total_oracle"] for row in pingel) == pytest.approx(2.97, abs=0.005)
-    assert statistics.fmean(row["kappa_fixed"] for row in pingel) == pytest.approx(85.4, abs=0.05)
+        for key in columns.split():
+            assert statistics.fmean(row[key] for row in rows) == pytest.approx(printed[key], abs=0.011)
 
 
-def test_averages_that_a_paper_prints_are_those_of_its_rows():
-    for name, columns in (("chen2023_table2", "type1 type2 total"), ("zheng2024_table6", "type1 type2 total kappa")):
-        table = samples.published(name)
-        for printed in (row for row in table if row["sample"] == "average"):
-            rows = [row for row in table if row["method"] == printed["method"] and row["sample"].startswith("samp")]
-            assert len(rows) == 15
-            for key in columns.split():
-                assert statistics.fmean(row[key] for row in rows) == pytest.approx(printed[key], abs=0.011)
+def test_means_of_smrf_are_those_that_its_paper_prints():
+    for key, printed, off in (
+        ("kappa_oracle", 90.02, 0.005),
+        ("total_oracle", 2.97, 0.005),
+        ("kappa_fixed", 85.4, 0.05),
+    ):
+        assert statistics.fmean(row[key] for row in samples.published("pingel2013")) == pytest.approx(printed, abs=off)
 
 
 def test_stin_errors_are_worked_out_from_the_printed_counts():
@@ -264,37 +262,6 @@ def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path):
     assert "39.99" in (tmp_path / "out" / "results.md").read_text()  # printed kappa of FPTD on sample 53
     assert report.read_csv(tmp_path / "out" / "seeds.csv")[0]["printed_seeds"] == 841
     assert len(report.read_csv(tmp_path / "out" / "table1.csv")) == 23
-
-
-def test_the_steps_of_ppdf_are_those_of_the_filter():
-    scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
-    cloud = ppdf2023.part(scene.cloud, np.ones(len(scene), bool))
-    steps, info = ppdf2023.staged(cloud), jf.PPDF.preset("paper", max_rounds=1)(cloud).info
-    found = int(steps.under.sum()), steps.planes.accepted, int(steps.seed.sum())
-    assert found == (info["under_canopy"], info["planes"], info["seeds"])
-    rows = [ppdf2023.plane_row("forest", steps, size) for size in ppdf2023.sizes(steps)]
-    assert sum(row["planes"] for row in rows) == steps.planes.accepted
-    assert sum(row["area"] for row in rows) == pytest.approx(100)
-    assert ppdf2023.coverage(steps, steps.truth)["covered"] == 100
-
-
-def test_constants_are_replaced_by_clearly_better_ones_only():
-    """Total error and kappa from counts equal those of the library; a set that is better by chance does not win."""
-
-    def rows(number, lost):
-        counts = {"points": 100, "ground": 60, "wrong": 5, "set": number, "group": "g"}
-        names = ("samp1", "samp2", "a", "b", "scene a", "scene b")
-        return [
-            {k: str(v) for k, v in (counts | {"cloud": c, "lost": n}).items()} for c, n in zip(names, lost, strict=True)
-        ]
-
-    noisy = default_run.scored(rows(0, [10] * 6) + rows(1, (0, 19, 1, 18, 2, 17)))
-    assert default_run.best(noisy) == "1" and default_run.clearly_best(noisy) == "0"
-    sure = default_run.scored(rows(0, [10] * 6) + rows(1, [5] * 6))
-    assert default_run.clearly_best(sure) == "1"
-    truth = np.arange(100) < 60
-    scores = jf.evaluate(((np.arange(100) >= 10) & truth) | (np.arange(100) >= 95), truth)
-    assert sure.loc[0, ["total", "kappa"]].tolist() == pytest.approx([scores.total, scores.kappa])
 
 
 def test_methods_are_marked_whose_defaults_were_chosen_with_errors_on_the_samples_known():

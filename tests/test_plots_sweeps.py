@@ -121,13 +121,6 @@ def test_words_stand_side_by_side_and_ratios_on_a_logarithmic_axis(design, grid)
     assert [t.get_text() for t in plots.sweep_curve(mixed, "cell").get_xticklabels()] == ["none", "1"]
 
 
-def test_curves_have_a_panel_per_axis(grid):
-    figure = plots.sweep_curves(grid)
-    assert [ax.get_xlabel() for ax in figure.axes] == ["slope (rise/run)", "threshold (m)", "cell (m)"]
-    assert [ax.get_ylabel() for ax in figure.axes] == ["total error (%)", "", ""]
-    assert len(figure.legends) == 1 and all(ax.get_legend() is None for ax in figure.axes)
-
-
 @pytest.mark.parametrize("score, best", [("total", np.min), ("kappa", np.max)])
 def test_map_of_a_grid_is_the_best_over_the_others(grid, score, best):
     ax = plots.sweep_map(grid, "threshold", "slope", score)

@@ -39,16 +39,6 @@ def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
     assert (filter_(moved).ground == expected[order]).all()
 
 
-def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other():
-    rng = np.random.default_rng(0)
-    xy = rng.integers(0, 30, (1500, 2)).astype(float)
-    xyz = np.column_stack([xy, 0.1 * xy[:, 0] + rng.normal(0, 0.3, 1500)]).round(2)
-    result = jf.FPTD(window=15.0, stride=5.0)(xyz)
-    positions = np.unique(xyz[result.ground, :2], axis=0)
-    assert result.info["vertices"] == len(positions) + result.info["border_points"]
-    assert len(positions) < 0.95 * result.ground.sum() and not result.ground.all()
-
-
 def test_removed_outliers_are_as_if_they_had_not_been_there(hills):
     filter_ = SWITCHED["removed"].replace(low_clusters=False)
     low, high = hills[:, :2].min(0), hills[:, :2].max(0)
