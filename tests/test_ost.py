@@ -750,16 +750,6 @@ def test_margins_have_the_sign_of_the_label_and_heights_are_over_the_final_groun
     np.testing.assert_allclose(result.height[others][inside], above[inside], atol=0.01)
 
 
-@pytest.mark.parametrize("layout, density", [("town", 1.0), ("hills", 4.0)])
-def test_total_error_on_scenes_is_close_to_the_best_of_others(layout, density):
-    scene = jf.scenes.make(layout, size=(120.0, 120.0), density=density, seed=5)
-
-    def error(method):
-        return jf.evaluate(method.for_cloud(scene.cloud)(scene.cloud), scene.truth).total
-
-    assert error(jf.OST) <= min(error(method) for method in (jf.SMRF, jf.PMF)) + 0.5
-
-
 def test_the_default_filter_follows_spacing_and_building_size(rng):
     xyz = np.column_stack([rng.uniform(0, 240, (4000, 2)), rng.normal(0, 0.02, 4000)])
     filter_ = jf.default_filter(xyz)

@@ -29,11 +29,6 @@ def bare(size=1, density=50, pulses=None, **layout):
     return scenes.make(dataclasses.replace(BARE, **layout), size=size, density=density, **(pulses or {}))
 
 
-def places(scene, start=0.0, stop=560.0, step=1.0):
-    """x and y f64[n] of a square lattice, metres from the corner of the scene."""
-    return (v.ravel() for v in np.meshgrid(*(scene.origin[k] + np.arange(start, stop, step) for k in (0, 1))))
-
-
 def land_share(scene):
     """Share of the extent that is not water, on a lattice of its own."""
     x, y = (scene.origin[k] + np.arange(0.5, scene.size[k], 1.7) for k in (0, 1))
@@ -153,15 +148,6 @@ def test_echoes_of_a_pulse_are_complete_and_in_order(ready):
     assert ready["forest"].number_of_returns.max() >= 4
 
 
-def test_ground_shows_through_a_canopy_as_often_as_asked():
-    layout = SceneLayout(relief=5, forest=1, low_vegetation=0, penetration=0.4)
-    scene = scenes.make(layout, size=200, density=10)
-    hit = scene.kind == Kind.HIGH_VEGETATION
-    under = np.append(False, hit[:-1]) & scene.truth & (scene.return_number > 1)
-    pulses = hit & (scene.return_number == 1)
-    assert under.sum() / pulses.sum() == pytest.approx(0.4, abs=0.02)
-
-
 def test_terrain_depends_on_neither_density_nor_extent_nor_company():
     near = scenes.make("mixed", size=100, density=1, seed=9)
     far = scenes.make("mixed", size=(700, 300), density=0.3, seed=9, noise=0.2)
@@ -201,25 +187,6 @@ def test_smaller_hurst_exponents_are_rougher():
         return (scene.terrain(x - 2, y) - 2 * scene.terrain(x, y) + scene.terrain(x + 2, y)).std()
 
     assert roughness(0.6) > 3 * roughness(1.0) > 9 * roughness(1.5)
-
-
-def gradient(scene, x, y, h=0.05):
-    """Rise over run of the terrain to the east and to the north."""
-    east = scene.terrain(x + h, y) - scene.terrain(x - h, y)
-    north = scene.terrain(x, y + h) - scene.terrain(x, y - h)
-    return east / (2 * h), north / (2 * h)
-
-
-@pytest.mark.parametrize("bench", [0.0, 12.0])
-def test_rock_faces_are_as_high_and_steep_as_asked_and_benches_are_level(bench):
-    scene = bare(relief=0, cliff=48, face=70, floor=60, bench=bench)
-    x, y = places(scene, 150, 510, 0.7)
-    z, steep = scene.terrain(x, y) - scene.origin[2], np.degrees(np.arctan(np.hypot(*gradient(scene, x, y))))
-    assert z.max() == pytest.approx(0, abs=0.01) and z.min() == pytest.approx(-48, abs=1.5)
-    face = (z > -44) & (z < -4) & (steep > 45)
-    assert np.median(steep[face]) == pytest.approx(71, abs=3)
-    level = np.histogram(z[(steep < 10) & (z < -4) & (z > -44)], bins=[-44, -40, -30, -28, -18, -16, -6])[0]
-    assert (level[[1, 3, 5]].sum() > 0.9 * level.sum() > 1000) if bench else level.sum() < 0.02 * face.sum()
 
 
 WET = dataclasses.replace(BARE, water_echoes=0.8, scan_angle=20)
