@@ -108,13 +108,6 @@ def test_leave_one_out_never_looks_at_the_sample_it_scores(rng):
     assert protocols.class_choice({"samp53": {0: 1.0, 1: 2.0}}, terrain) == {"samp53": 0}  # alone in its class
 
 
-def test_the_oracle_is_never_below_the_class_protocol_or_the_fixed_set(rng):
-    kappa = random_kappa(rng)
-    oracle, by_class = protocols.oracle_choice(kappa), protocols.class_choice(kappa, samples.terrain_classes())
-    for sample, sets in kappa.items():
-        assert sets[oracle[sample]] >= max(sets[by_class[sample]], sets[0])
-
-
 def test_a_set_that_failed_is_never_chosen():
     failed = {"sample": "samp52", "set": 0, "status": "ParameterError: no"} | dict.fromkeys(search.COUNTS, "")
     good = failed | {"set": 1, "status": "CONVERGED"} | dict.fromkeys(search.COUNTS, 5)

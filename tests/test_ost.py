@@ -559,20 +559,6 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
-@pytest.mark.parametrize("edges", [0, 1, 3])
-def test_surroundings_are_means_over_steps_in_scipys_triangulation(rng, tin_of, edges):
-    xyz = points_of(np.column_stack([rng.uniform(0, 40, (400, 2)), np.zeros(400)]).round(3))
-    count, values = len(xyz), rng.normal(size=len(xyz)).astype(np.float32)
-    tin, nodes = tin_of(xyz), rng.permutation(count)[:150]
-    out = np.empty(len(nodes), np.float32)
-    rings.surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, values, out)
-    beside = np.eye(count, dtype=int)
-    for corners in Delaunay(xyz[:, :2].astype(float)).simplices:
-        beside[np.ix_(corners, corners)] = 1
-    near = np.linalg.matrix_power(beside, edges)[nodes] > 0
-    np.testing.assert_allclose(out, near @ values / near.sum(axis=1), atol=1e-5)
-
-
 @pytest.mark.parametrize("case", ["plants", "no canopy", "in view", "within limits"])
 def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, case, monkeypatch):
     """Of a field of plants more than half is left out, from above, only where the canopy hides what is below. The highest hide

@@ -60,12 +60,7 @@ def far(rng, n):
     return np.concatenate([crowd, others, [[-FAR, -FAR], [FAR, FAR], [FAR, -FAR]]])
 
 
-def of_size(rng, n):
-    """Positions on an integer lattice of a random size."""
-    return rng.integers(0, rng.choice([3, 30, 3000]), (n, 2))
-
-
-KINDS = [random, grid, circles, lines, clusters, far, of_size]
+KINDS = [random, grid, circles, lines, clusters, far]
 
 
 def nodes(rng, xy, twins=True):
