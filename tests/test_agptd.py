@@ -127,35 +127,9 @@ def test_points_of_odd_elevation_are_no_seeds():
     assert result.barred[-1] and not result.ground[-1]
 
 
-def test_labelled_objects_are_taken_away_reproducibly(rng):
-    xyz, truth = hills()
-    cloud = jf.PointCloud.from_arrays(xyz, reference=truth)
-    key, other = jax.random.key(0), jax.random.key(1)
-    left = without_labelled_objects(cloud, 0.6, key).candidate
-    assert not truth[~left].any() and (~left).sum() == round(0.6 * (~truth).sum()) and cloud.candidate.all()
-    assert (without_labelled_objects(cloud, 0.6, other).candidate != left).any()
-    order = rng.permutation(len(xyz))
-    shuffled = jf.PointCloud.from_arrays(xyz[order], reference=truth[order])
-    assert (without_labelled_objects(shuffled, 0.6, key).candidate == left[order]).all()
-    assert not jf.AGPTD(seed_cell=12.0)(without_labelled_objects(cloud, 0.6, key)).ground[~left].any()
-    assert (jf.AGPTD()(xyz).ground == jf.AGPTD()(cloud).ground).all(), "the filter reads no labels"
-    with pytest.raises(ValueError, match="no reference labels"):
-        without_labelled_objects(jf.PointCloud.from_arrays(xyz), 0.5, key)
-    for share in (1.2, -0.1, float("nan")):
-        with pytest.raises(ValueError, match=f"share={share}"):
-            without_labelled_objects(cloud, share, key)
-
-
 def test_cells_that_are_too_small_are_refused_however_many_there_are():
     with pytest.raises(jf.InputError, match=r"seed_cell=1e-06 m with 8 grid levels.*use larger cells"):
         jf.AGPTD(seed_cell=1e-6, levels=8)(hills()[0])
-
-
-def test_labelled_objects_that_coincide_with_ground_stay():
-    xyz = [[0.0, 0, 0], [0, 0, 0], [5, 0, 1], [5, 0, 1], [0, 5, 2], [5, 5, 3]]
-    cloud = jf.PointCloud.from_arrays(xyz, reference=np.array([True, False, False, False, True, True]))
-    left = without_labelled_objects(cloud, 1.0, jax.random.key(0)).candidate
-    assert left.tolist() == [True, True, False, False, True, True]
 
 
 @pytest.mark.data
@@ -181,11 +155,3 @@ def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(s
         is_object[points.member[cloud.reference[points.index]]] = False
         seeds = lowest_per_adaptive_cell(points, 6.0, is_object, levels=1, remainder="own_cells")
         assert len(seeds.rows) == printed
-
-
-@pytest.mark.data
-def test_without_labels_a_second_level_helps_where_ptd_has_too_few_seeds(sample):
-    for number, at_most in ((51, 7.0), (52, 20.0)):
-        cloud = sample(number)
-        one, two = (jf.evaluate(jf.AGPTD(levels=n)(cloud), cloud.reference).total for n in (1, 2))
-        assert two < one - 2.0 and two < at_most

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_densify import hillside
 
 import jaxfilter as jf
 from jaxfilter.methods import atin
@@ -9,24 +10,16 @@ from jaxfilter.methods import atin
 
 @pytest.fixture(scope="module")
 def rough():
-    """Terrain with a scarp, a house, bushes; rough in one half."""
-    rng = np.random.default_rng(5)
-    xy = rng.uniform(0, 120, (7000, 2)).round(1)
-    z = 0.08 * xy[:, 0] + np.sin(xy[:, 1] / 14) + np.where(xy[:, 1] > 80, 2.5, 0.0) + rng.normal(0, 0.03, 7000)
-    house = (np.abs(xy[:, 0] - 50) < 9) & (np.abs(xy[:, 1] - 40) < 7)
-    bush = (rng.random(7000) < 0.2) & ~house
-    z[house] += 5
-    z[bush] += rng.uniform(0.1, 1.5, bush.sum())
-    return np.column_stack([xy, z.round(2)]), ~(house | bush)
+    return hillside(4, n=7000, side=120)
 
 
 @pytest.mark.parametrize("refresh", [True, False])
 def test_at_constant_thresholds_and_without_mirroring_it_is_ptd(rough, refresh):
     common = {"max_angle": 12.0, "max_distance": 0.9, "seed_cell": 30.0, "refresh_border": refresh}
-    plain, ptd = jf.ATIN(**common)(rough[0]), jf.PTD(**common, max_terrain_angle=90.0)(rough[0])
+    plain, ptd = jf.ATIN(**common)(rough), jf.PTD(**common, max_terrain_angle=90.0)(rough)
     assert (plain.ground == ptd.ground).all()
     np.testing.assert_array_equal(plain.height, ptd.height)
-    mirrored = jf.ATIN(**common, mirror="nearest", max_terrain_slope=30.0)(rough[0])
+    mirrored = jf.ATIN(**common, mirror="nearest", max_terrain_slope=30.0)(rough)
     assert (plain.ground != mirrored.ground).sum() > 5
 
 
@@ -43,7 +36,7 @@ def test_limits_are_median_and_robust_deviations_below_the_users(rng):
 @pytest.mark.parametrize("deviations", [2.0, 5.0])
 def test_thresholds_settle_and_do_not_shrink_to_nothing(rough, deviations, monkeypatch):
     monkeypatch.setattr(atin, "_DEVIATIONS", deviations)
-    result = jf.ATIN(thresholds="adaptive", seed_cell=30.0, max_distance=5.0, max_angle=60.0)(rough[0])
+    result = jf.ATIN(thresholds="adaptive", seed_cell=30.0, max_distance=5.0, max_angle=60.0)(rough)
     assert result.status == jf.Status.CONVERGED
     limits = [step["max_distance"] for step in result.trace]
     assert len(set(limits)) > 1 and len(set(limits[-3:])) == 1
@@ -65,7 +58,6 @@ def test_limits_follow_the_noise_of_the_ground(rng):
 
 
 def test_border_switch_changes_the_number_of_simulated_points(rough):
-    xyz = rough[0]
-    corners = jf.ATIN(border="corners", seed_cell=30.0)(xyz)
-    perimeter = jf.ATIN(border="perimeter", seed_cell=30.0)(xyz)
+    corners = jf.ATIN(border="corners", seed_cell=30.0)(rough)
+    perimeter = jf.ATIN(border="perimeter", seed_cell=30.0)(rough)
     assert corners.info["border_points"] == 4 and perimeter.info["border_points"] == 2 * (4 + 4)

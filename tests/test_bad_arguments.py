@@ -60,6 +60,7 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.calibrate(jf.SMRF(), CLOUD, TRUTH, size=10**18), jf.ParameterError, "size=10.*at most 1,000,000"),
         (lambda: jf.calibrate(jf.SMRF(), CLOUD, TRUTH, rounds=10**18), jf.ParameterError, "rounds=10.*at most 1,000,000"),
         (lambda: jf.scenes.make(size=1e5, density=1000), jf.ParameterError, "at most 1e9 pulses"),
+        (lambda: jf.SMRF()("in.laz"), jf.InputError, r"pass jaxfilter\.read\('in.laz'\)"),
         (lambda: jf.PTD()(CLOUD, workers=float("nan")), jf.ParameterError, "workers=nan"),
         (lambda: jf.apply(jf.SMRF()(CLOUD), pandas.DataFrame({"verdict": ["object"]})), jf.InputError, "GeoDataFrame"),
         (lambda: jf.FilterResult.of_labels(np.array([1, 0])), jf.InputError, "ground: bool"),

@@ -14,7 +14,6 @@ from commands import assert_one_line, facts, run
 
 import jaxfilter as jf
 from jaxfilter.cli.session import Session
-from jaxfilter.core.filter import ground_each
 from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.labels import point_labels
@@ -122,17 +121,6 @@ def test_axes_are_read_as_written(folder, arguments, expected):
     assert json.loads(result.stdout)["parameters"]["scaling"] == (2.0 if "scaling=2" in arguments else 1.25)
 
 
-def test_designs_draw_from_ranges_and_choose_from_values(folder):
-    axes = ("--axis", "slope=0.1..0.3", "--axis", "cell=1,1.05", "--design", "sobol", "--size", 8, "--seed", 5)
-    report, found = facts("sweep", "smrf", folder / "truth.laz", folder / "out", *axes), stored(folder)
-    slope = found["slope"].values
-    assert dict(found.sizes) == {"set": 8} and report["groups"] == 2
-    assert len(set(slope)) == 8 and slope.min() >= 0.1 and slope.max() <= 0.3
-    assert sorted(found["cell"].values.tolist()) == [1.0] * 4 + [1.05] * 4
-    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
-    np.testing.assert_array_equal(table["slope"], slope[table.index])
-
-
 def test_values_that_are_none_or_words_are_stored_as_words(folder):
     axes = ("--axis", "fill=neighbours,zero", "--axis", "low_clusters=yes,no", "--design", "list")
     facts("sweep", "spf", folder / "truth.laz", folder / "out", *axes)
@@ -172,30 +160,6 @@ def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, wor
 def test_unknown_methods_and_files_for_folders_are_usage_errors(folder):
     assert_one_line(run("sweep", "nosuch", folder / "truth.laz", folder / "out", *AXES), 2, "nosuch", "smrf")
     assert run("sweep", "smrf", folder / "truth.laz", folder / "scene.laz", *AXES).exit_code == 2  # OUT_DIR is a file
-
-
-def test_an_interrupted_sweep_resumes_without_computing_again(folder, monkeypatch):
-    labelled, stop = [], 8
-
-    def counted(*arguments, **options):
-        for each in ground_each(*arguments, **options):
-            if len(labelled) == stop:
-                raise KeyboardInterrupt
-            labelled.append(each)
-            yield each
-
-    monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", counted)
-    axes = (*AXES, "--axis", "cell=1,1.05")
-    stopped = sweep(folder, axes=axes)
-    assert stopped.exit_code == 130 and len(labelled) == 8
-    assert "stopped by SIGINT; finished sets are kept" in stopped.stderr and "Traceback" not in stopped.output
-    assert [p.name for p in (folder / "out").iterdir()] == ["checkpoint.npz"]
-    assert_one_line(sweep(folder, axes=AXES), 2, "checkpoint.npz", "other sets", "--fresh")
-    stop, resumed = None, None
-    for more, sets in (((), 12), ((), 12), (("--fresh",), 24)):
-        assert sweep(folder, *more, axes=axes).exit_code == 0 and len(labelled) == sets
-        resumed = stored(folder) if resumed is None else resumed
-    xr.testing.assert_identical(resumed, stored(folder))
 
 
 def test_calibrate_finds_what_the_library_finds(folder, scene):

@@ -1,7 +1,7 @@
 import jax
 import numpy as np
 import pytest
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
@@ -61,17 +61,6 @@ def test_nothing_to_fill():
     np.testing.assert_array_equal(fill_membrane(z, all_known, all_known).z, z)
     assert np.isfinite(fill_membrane(z, ~all_known, all_known).z).all()
     np.testing.assert_array_equal(fill_nearest(z, ~all_known, all_known), z)
-
-
-@pytest.mark.parametrize("kind", ["dots", "lake", "few"])
-def test_nearest_fill_takes_a_nearest_known_cell(kind):
-    z, known = terrain(kind)
-    z = np.arange(z.size, dtype=np.float32).reshape(z.shape)  # every value says where it comes from
-    filled = np.asarray(fill_nearest(*padded(z, known)))[:SIZE, :SIZE].astype(int)
-    assert known.ravel()[filled].all()
-    y, x = np.mgrid[:SIZE, :SIZE]
-    distance = np.hypot(y - filled // SIZE, x - filled % SIZE)
-    np.testing.assert_allclose(distance, ndimage.distance_transform_edt(~known), atol=1e-9)
 
 
 def test_nearest_fill_of_many_blocks_settles_ties_as_it_says(rng):

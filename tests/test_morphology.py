@@ -118,13 +118,6 @@ def test_numbers_of_all_types_are_those_of_scipy(name):
             assert made.dtype.name == name.replace("64", "32")
 
 
-@pytest.mark.parametrize("name", NUMBERS)
-def test_run_minima_of_all_types(name):
-    z = extreme(name)
-    expected = np.minimum(z, np.column_stack([z[:, 1:], z[:, -1:]]))
-    np.testing.assert_array_equal(morphology.run_minima(z, 2, 3, axis=1), expected)
-
-
 @pytest.mark.parametrize(
     "name, ends", [("int64", [-(2**62), 2**62 + 1]), ("uint64", [1, 2**64 - 2]), ("float64", [-1e300, 1 + 1e-12])]
 )

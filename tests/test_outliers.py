@@ -57,12 +57,6 @@ def test_many_neighbours_take_no_more_memory_than_points(rng):
         jf.FPTD(radius=1, min_neighbours=100_000)
 
 
-def test_a_point_just_beyond_the_radius_is_no_neighbour():
-    xyz = np.array([[0, 0, 0], [1 + 2**-21, 0, 0]], np.float32)
-    for radius, few in ((1.0, True), (1 + 2**-20, False)):
-        assert (radius_outliers(xyz, radius, 1) == few).all()
-
-
 @pytest.mark.parametrize("entries", [10**6, 500])
 def test_knn_outliers_equal_all_pairs(rng, entries, monkeypatch):
     monkeypatch.setattr(neighbours, "_ENTRIES", entries)
@@ -183,22 +177,6 @@ def test_low_trend_equals_image_filters(rng, share):
     np.testing.assert_allclose(low_trend(xyz, x0, y0, 15.0), dense_trend(xyz, x0, y0, 15.0), atol=1e-4)
 
 
-@pytest.mark.slow
-def test_memory_of_low_clusters_does_not_grow_with_the_extent(rng):
-    xyz = hillside(rng, 0.0)
-    low = np.argsort(np.hypot(*(xyz[:, :2] - 80).T))[:20]
-    xyz[low, 2] -= 6
-    near = low_clusters(points_of(xyz))
-    tracemalloc.start()
-    points = points_of(np.concatenate([xyz, [[90_000.0, 120_000.0, 0.0]]]))
-    far = low_clusters(points)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert near.clusters == far.clusters == 1
-    assert np.flatnonzero(far.barred[points.member]).tolist() == sorted(low)
-    assert peak < 100e6
-
-
 def hillside(rng, slope, size=160.0, density=1.0):
     xy = rng.uniform(0, size, (int(size**2 * density), 2))
     return np.column_stack([xy, slope * xy[:, 0] + rng.normal(0, 0.05, len(xy))])
@@ -285,20 +263,3 @@ def test_false_minima_of_scenes_go_and_the_ground_stays(name, density):
     assert barred[ground].mean() < (0.02 if name == "city" else 0.003)  # in the city courtyards, about 1 %
     back = jf.FPTD()(scene.cloud).ground[points.index]
     assert (barred & ~back)[ground].mean() < 0.001  # courtyards pass the second test; a hollow of the quarry does not
-
-
-@pytest.mark.data
-def test_low_outliers_of_sample_41(sample):
-    """Objects that lie more than 1 m below every reference ground point within 20 m."""
-    from scipy.spatial import cKDTree
-
-    cloud = sample(41)
-    xyz, ground = cloud.xyz.astype(np.float64), cloud.reference
-    near = cKDTree(xyz[ground, :2]).query_ball_point(xyz[~ground, :2], 20.0)
-    floor = np.array([xyz[ground, 2][i].min() if i else -np.inf for i in near])
-    low = np.flatnonzero(~ground)[xyz[~ground, 2] < floor - 1]
-    points = canonical_points(cloud)
-    barred = low_clusters(points).barred[points.member]
-    assert len(low) > 30
-    assert barred[low].mean() > 0.95
-    assert barred[ground].mean() < 0.05

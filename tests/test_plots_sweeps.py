@@ -78,11 +78,6 @@ def test_best_sets_of_several_clouds_go_by_the_mean_of_those_with_labels(grid):
     assert axes_of(both) == axes_of(grid)
 
 
-def test_sets_without_scores_keep_their_order_and_ties_too(grid):
-    assert best_sets(grid * np.nan, count=None).index.tolist() == list(range(24))
-    assert best_sets(grid * 0 + 1, count=5).index.tolist() == [0, 1, 2, 3, 4]
-
-
 def line(ax, label):
     return next(each for each in ax.lines if each.get_label() == label)
 
@@ -101,13 +96,6 @@ def test_curve_of_a_grid_is_the_best_over_the_others(grid, score, best):
     assert y == best(values) and best(grid[score].sel(threshold=x).values) == y
     assert ax.get_xlabel() == "threshold (m)" and ax.get_title() == "SMRF"
     assert ax.get_ylabel() == {"total": "total error (%)", "kappa": "kappa (%)"}[score]
-
-
-def test_curve_of_one_axis_is_the_score_itself(grid):
-    one = grid.isel(threshold=0, cell=1, drop=True)
-    ax = plots.sweep_curve(one, "slope")
-    np.testing.assert_array_equal(line(ax, "all sets").get_ydata(), one["total"].values)
-    assert not ax.collections
 
 
 def test_curve_of_a_design_has_every_set_and_its_lower_envelope(design):
@@ -131,13 +119,6 @@ def test_words_stand_side_by_side_and_ratios_on_a_logarithmic_axis(design, grid)
     assert plots.sweep_curve(grid, "slope").get_xscale() == "log"
     mixed = grid.assign_coords(cell=np.array([None, 1.0], object))
     assert [t.get_text() for t in plots.sweep_curve(mixed, "cell").get_xticklabels()] == ["none", "1"]
-
-
-def test_curves_have_a_panel_per_axis(grid):
-    figure = plots.sweep_curves(grid)
-    assert [ax.get_xlabel() for ax in figure.axes] == ["slope (rise/run)", "threshold (m)", "cell (m)"]
-    assert [ax.get_ylabel() for ax in figure.axes] == ["total error (%)", "", ""]
-    assert len(figure.legends) == 1 and all(ax.get_legend() is None for ax in figure.axes)
 
 
 @pytest.mark.parametrize("score, best", [("total", np.min), ("kappa", np.max)])

@@ -2,6 +2,7 @@ import jax
 import numpy as np
 import pytest
 from scipy import ndimage
+from test_morphology import footprint
 
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.methods.pmf import PMF
@@ -27,12 +28,6 @@ def hamlet(count=2000, size=48.0, seed=5):
     xyz[bush, 2] += 0.7 + rng.random(bush.sum()) * 3
     keep = np.hypot(x - 30, y - 36) > 4
     return xyz[keep].round(2), ~(house | bush)[keep]
-
-
-def footprint(radius, element):
-    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    shapes = {"disk": x * x + y * y <= radius**2, "diamond": abs(x) + abs(y) <= radius, "square": x == x}
-    return shapes[element]
 
 
 def windows(f):

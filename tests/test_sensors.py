@@ -123,15 +123,6 @@ def test_wrong_matches_below_the_ground_spoil_nothing():
     assert jf.dtm_rmse(made.cloud, result, made.truth).low < 0.1
 
 
-def test_an_echo_below_drone_lidar_spoils_nothing():
-    made = scene(DRONE, SceneLayout(relief=12, landform=32, tilt=0.3, forest=0, low_outliers=5e-5), size=40, seed=4)
-    low = made.kind == Kind.LOW_OUTLIER
-    assert low.sum() > 3
-    result = jf.default_filter(made.cloud)(made.cloud)
-    errors = jf.dtm_rmse(made.cloud, result, made.truth)
-    assert not result.ground[low].any() and errors.low == 0 and errors.rmse < 0.02
-
-
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (0.5, 0.5)], ids=["in one cell", "in four cells"])
 def test_a_cluster_of_echoes_below_drone_lidar_spoils_nothing_wherever_cells_lie(corner):
     """It is 0.6 m wide and 7 m deep, below a slope whose foot is as low."""

@@ -419,16 +419,6 @@ class Swapped(NamedTuple):
         return Rule(self.max_angle, jnp.inf, self.max_distance).verdict(s, two_sided)
 
 
-def closing(steep):
-    class Closing(NamedTuple):
-        far: Any
-
-        def verdict(self, s, two_sided):
-            return Rule(steep, jnp.inf, self.far).verdict(s, two_sided)
-
-    return Closing
-
-
 def by_node(self, network):
     far = self.max_distance + 0.01 * np.arange(len(network.xyz), dtype=np.float32) / len(network.xyz)
     return Rule(self.max_angle, max_distance=far)
@@ -438,9 +428,7 @@ RULES = {
     "vars": lambda self, network: Rule(vars(self)["max_angle"], jnp.inf, vars(self)["max_distance"]),
     "nested": lambda self, network: Nested(Limits(self.max_distance, self.max_angle)),
     "swapped": lambda self, network: Swapped(self.max_distance, self.max_angle),
-    "closing": lambda self, network: closing(self.max_angle)(self.max_distance),
     "by node": by_node,
-    "some": lambda self, network: (Swapped if self.max_angle > 5 else Rule)(self.max_angle, self.max_distance),
 }
 
 
@@ -451,11 +439,8 @@ def with_rule(rule):
     return {"growth": growth}
 
 
-def with_vertices(**fields):
-    def growth(self, network):
-        return dataclasses.replace(jf.PTD.growth(self, network), vertices=Vertices(self.max_distance, **fields))
-
-    return {"growth": growth}
+def with_vertices(self, network):
+    return dataclasses.replace(jf.PTD.growth(self, network), vertices=Vertices(self.max_distance, stop_share=0.02))
 
 
 def start_by(seed_cell):
@@ -485,8 +470,7 @@ def cells_by_threshold(self, points, barred=None):
 
 USERS = {
     **{f"a rule, {name}": (jf.PTD(seed_cell=30.0), with_rule(rule)) for name, rule in RULES.items()},
-    "vertices by a limit": (jf.PTD(seed_cell=30.0), with_vertices()),
-    "an end by all sheets": (jf.PTD(seed_cell=30.0), with_vertices(stop_share=0.02)),
+    "vertices by a limit": (jf.PTD(seed_cell=30.0), {"growth": with_vertices}),
     "seeds by a limit": (jf.PTD(), start_by(lambda one: 15.0 + 20.0 * one.max_distance)),
     "seeds by a limit now and then": (jf.PTD(), start_by(lambda one: 50.0 * (one.max_angle > 5 and one.max_distance) + 9)),
     "classify of a TIN": (jf.PTD(seed_cell=30.0), {"classify": cut}),

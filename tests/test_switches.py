@@ -39,16 +39,6 @@ def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
     assert (filter_(moved).ground == expected[order]).all()
 
 
-def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other():
-    rng = np.random.default_rng(0)
-    xy = rng.integers(0, 30, (1500, 2)).astype(float)
-    xyz = np.column_stack([xy, 0.1 * xy[:, 0] + rng.normal(0, 0.3, 1500)]).round(2)
-    result = jf.FPTD(window=15.0, stride=5.0)(xyz)
-    positions = np.unique(xyz[result.ground, :2], axis=0)
-    assert result.info["vertices"] == len(positions) + result.info["border_points"]
-    assert len(positions) < 0.95 * result.ground.sum() and not result.ground.all()
-
-
 def test_removed_outliers_are_as_if_they_had_not_been_there(hills):
     filter_ = SWITCHED["removed"].replace(low_clusters=False)
     low, high = hills[:, :2].min(0), hills[:, :2].max(0)
@@ -93,7 +83,15 @@ def test_without_a_reach_references_are_found_across_any_void(rng):
 
 
 # Settings of JAX by which careful users find mistakes. SMRF's soft labels have a short test in test_inpaint.py.
-CAREFUL = {"jax_numpy_rank_promotion": "raise", "jax_numpy_dtype_promotion": "strict", "jax_debug_nans": True}
+STRICT = {"jax_numpy_rank_promotion": "raise", "jax_numpy_dtype_promotion": "strict"}
+CAREFUL, WIDE = STRICT | {"jax_debug_nans": True}, STRICT | {"jax_enable_x64": True}
+VARIANTS = {
+    **{name: {} for name in sorted(jf.FILTERS)},
+    "csf smooth": {"smooth": True, "rigidness": 1},
+    "pmf points": {"reading": "points", "compare": "points"},
+    "smrf cut": {"cut": 20.0},
+}
+"""Defaults, and parameters that take other ways through the compiled functions."""
 SOFT = [
     pytest.param(jf.SMRF(window=4.0), ("slope", "threshold"), marks=pytest.mark.slow),
     pytest.param(jf.PMF(max_window=9.0), ("slope", "initial_distance"), marks=pytest.mark.slow),
@@ -101,11 +99,11 @@ SOFT = [
 ]
 
 
-def carefully(call):
-    """What a call gives as it is, and with careful settings of JAX."""
-    expected, before = call(), {name: getattr(jax.config, name) for name in CAREFUL}
+def with_settings(call, settings=CAREFUL):
+    """What a call gives as it is, and with other settings of JAX."""
+    expected, before = call(), {name: getattr(jax.config, name) for name in settings}
     try:
-        for name, value in CAREFUL.items():
+        for name, value in settings.items():
             jax.config.update(name, value)
         return expected, call()
     finally:
@@ -113,9 +111,11 @@ def carefully(call):
             jax.config.update(name, value)
 
 
-@pytest.mark.parametrize("name", sorted(jf.FILTERS))
-def test_careful_settings_of_jax_change_no_label(hills, name):
-    expected, found = carefully(lambda: jf.FILTERS[name]()(hills))
+@pytest.mark.parametrize("settings", [CAREFUL, pytest.param(WIDE, marks=pytest.mark.slow)], ids=["careful", "x64"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_settings_of_jax_change_no_label(hills, name, settings):
+    filter_ = jf.FILTERS[name.split()[0]](**VARIANTS[name])
+    expected, found = with_settings(lambda: filter_(hills), settings)
     assert 0.1 < expected.ground.mean() < 0.99
     for field in ("ground", "height", "margin"):
         np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
@@ -142,7 +142,7 @@ def test_careful_settings_of_jax_change_no_soft_label_no_gradient_no_batch_and_n
             jf.sweep(filter_, cloud, sets).ground.values,
         )
 
-    expected, found = map(jax.tree.leaves, carefully(everything))
+    expected, found = map(jax.tree.leaves, with_settings(everything))
     assert np.abs(expected[1]).min() > 0
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -279,18 +279,6 @@ def test_the_limits_are_those_that_found_the_ground(survey, tmp_path, tile):
     assert other.method == "OST" and other.parameters["max_angle"] == jf.OST().max_angle
 
 
-def test_a_changed_file_has_its_verdicts_carried_out_again(survey, xyz, tmp_path):
-    places = table(house="object", hill="ground")
-    kept = shutil.copytree(survey, tmp_path / "kept")
-    jf.apply_survey(places, survey, run=ONE)
-    done = states(survey)
-    shutil.copy(kept / "ne.laz", survey / "ne.laz")
-    with pytest.warns(jf.JaxfilterWarning, match="ne.laz: .* since verdicts were carried out"):
-        report = jf.apply_survey(places, survey, run=ONE)
-    assert report.applied == {"object": 1} and report.before == 1
-    assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
-
-
 def test_a_log_that_is_damaged_is_named(survey):
     jf.apply_survey(table(house="object"), survey)
     path, before = survey / "verdicts.json", states(survey)

@@ -36,11 +36,6 @@ def valley(fall: float, seed: int = 0) -> jf.PointCloud:
     )
 
 
-def test_one_file_for_places_and_outlines_is_refused(tmp_path):
-    with pytest.raises(jf.ParameterError, match="is the file of the places"):
-        jf.ground("any.laz", tmp_path / "out.laz", review=tmp_path / "a.gpkg", breaklines=tmp_path / "a.gpkg")
-
-
 def test_a_river_falls_along_its_course_and_is_level_across():
     cloud = valley(0.005)
     levels = levels_in(cloud, None, cloud.reference)

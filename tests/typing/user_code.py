@@ -24,21 +24,12 @@ def checked(cloud: jf.PointCloud, result: jf.FilterResult) -> Path:
     return jf.report(cloud, result, "site.html", overwrite=True)
 
 
-def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:
+def several_methods(xyz: np.ndarray) -> dict[str, np.ndarray]:
     filters: list[jf.Filter] = [
-        jf.AGPTD(relative_slope=0.1),
-        jf.ATIN(max_angle=20.0),
         jf.CSF(rigidness=2, threshold=0.4),
         jf.FPTD(max_angle=30, noise_floor=0.1, low_clusters=False),
-        jf.IPTD(max_angle=15.0),
-        jf.MSF(),
-        jf.PMF(slope=0.2, max_window=30.0),
-        jf.PPDF(max_step=1.0),
-        jf.PTD(max_angle=8.0),
         jf.PTDF(),
         jf.SMRF(cell=0.5, slope=0.2, threshold=0.3, scaling=1.0),
-        jf.SPF(slope=0.4),
-        jf.STIN(stop_ratio=0.05),
     ]
     return {type(one).__name__: one(xyz, workers=1, key=jax.random.key(0)).ground for one in filters}
 
