@@ -60,8 +60,10 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
     return area
 
 
-def meeting(area: shapely.Geometry, boxes: np.ndarray) -> np.ndarray:
-    """bool[n]: closed boxes f64[n, 4] that share a place with an area."""
+def meeting(area: shapely.Geometry | None, boxes: np.ndarray) -> np.ndarray:
+    """bool[n]: closed boxes f64[n, 4] that share a place with an area; all, if there is none."""
+    if area is None:
+        return np.ones(len(boxes), bool)
     import shapely
 
     return np.asarray(shapely.intersects(area, shapely.box(*boxes.T)))

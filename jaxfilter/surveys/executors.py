@@ -145,12 +145,9 @@ class Pool:
         """The first worker is started, to know that it can be. Raises: JaxfilterError."""
         self._workers = workers
         self._begin()
-        try:
-            self._futures.submit(os.getpid).result()
-        except BrokenProcessPool as error:
+        if self._futures.submit(os.getpid).exception() is not None:
             self.close()
-            words = f"a worker process ended as it began; what it said stands above; {unguarded()}"
-            raise JaxfilterError(words) from error
+            raise JaxfilterError(f"a worker process ended as it began; what it said stands above; {unguarded()}")
 
     def _begin(self) -> None:
         """Make the pool. Its workers hold one end of a pipe, and end when the other is closed, or this process ends."""
