@@ -491,12 +491,6 @@ def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypa
     assert not (tmp_path / "out").exists()
 
 
-def test_options_of_runs_are_checked():
-    for wrong in ({"workers": 0}, {"memory": 0.0}):
-        with pytest.raises(jf.ParameterError, match=next(iter(wrong))):
-            jf.RunOptions(**wrong)
-
-
 def test_a_report_and_a_map_lie_beside_the_files(done):
     out, report = done
     facts = json.loads((out / "jaxfilter-run.json").read_text())

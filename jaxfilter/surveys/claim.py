@@ -128,7 +128,7 @@ class Claim(Targets):
                 part.unlink()
 
     def check_room(self, sizes: Mapping[int, int]) -> None:
-        """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
+        """``sizes``: bytes of inputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
         disks: dict[int, tuple[Path, int]] = {}
         for number, size in sizes.items():
             part = self.part(number)
@@ -207,38 +207,31 @@ def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:
     """
     import platformdirs
 
-    places, folder = targets.places, targets.folder
-    given = {field.name: getattr(targets, field.name) for field in dataclasses.fields(Targets)}
-    if folder is not None:
-        return Claim(**given, store=Store(_local(options.work, folder, folder) / _HIDDEN))
+    places, name = targets.places, _HIDDEN
     first = places[0].absolute()
+    short = f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
     near: Place = first if isinstance(first, Remote) else first.parent
-    name, short = f".{first.name}{_HIDDEN}", f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
-    if targets.called:
+    if targets.folder is not None:
+        near = targets.folder
+    elif targets.called:
         name = f".{targets.called}{_HIDDEN}"
     elif len(places) > 1:
-        near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
+        near = place_of(os.path.commonpath([str(place) for place in places]))
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
         near, name = platformdirs.user_state_path("jaxfilter"), short
         check_own(near, make=True)
-    elif len(os.fsencode(name)) > _LONGEST:
+    elif len(os.fsencode(name := f".{first.name}{_HIDDEN}")) > _LONGEST:
         name = short
-    store = Store(_local(options.work, first, near) / name)
-    if not options.resume and not options.overwrite and store.begun:
+    work = near if options.work is None else place_of(options.work)
+    if isinstance(work, Remote):
+        raise ParameterError(
+            f"work={options.work!r}: {targets.folder or first} is not on a local disk, and a run needs a local folder that all "
+            "workers see: pass work=..."
+        )
+    store = Store(work / name)
+    if targets.folder is None and store.begun and not (options.resume or options.overwrite):
         raise OutputError(
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
-    return Claim(**given, store=store)
-
-
-def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
-    """The local folder that is named, or the one ``beside`` the target. Raises: ParameterError."""
-    if work is None and isinstance(beside, Remote):
-        raise ParameterError(
-            f"work=None: {target} is not on a local disk, and a run needs a folder that all workers see: pass work=..."
-        )
-    local = beside if work is None else place_of(work)
-    if isinstance(local, Remote):
-        raise ParameterError(f"work={work!r}: must be a local folder")
-    return local
+    return Claim(**vars(targets), store=store)

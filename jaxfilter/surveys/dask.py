@@ -24,7 +24,7 @@ class Cluster(Pool):
         Raises: InputError if the scheduler cannot be reached; ImportError if Dask is missing.
         """
         try:
-            from distributed import Client, KilledWorker
+            from distributed import Client
         except ImportError as error:
             raise ImportError("a Dask cluster needs dask: pip install 'jaxfilter[cluster]'") from error
         self._own = isinstance(client, str)
@@ -33,8 +33,7 @@ class Cluster(Pool):
                 client = Client(client, timeout=10, set_as_default=False)
             except (OSError, ValueError, TimeoutError) as error:
                 raise InputError(f"scheduler {client}: cannot be reached: {error}") from error
-        self._client, self._death = client, KilledWorker
-        self._futures = client.get_executor(pure=False)
+        self._client, self._futures = client, client.get_executor(pure=False)
         if max(client.nthreads().values(), default=1) > 1:
             warn(
                 "workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned"

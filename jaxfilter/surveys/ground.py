@@ -87,11 +87,6 @@ class GroundProduct(Product):
         additions = Additions(columns=columns)
         write_cloud(task.target, cloud, found, self.classes, additions, Replacing(**task.how))
 
-    @property
-    def added(self) -> int:
-        """The quantities, f32."""
-        return 4 * len(self.extra)
-
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
         list_places(self, report, collection, self.review, options.overwrite or options.resume)

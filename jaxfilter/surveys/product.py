@@ -121,11 +121,6 @@ class Product:
         """Write a file whose tiles are done. Raises: InputError, OutputError."""
         raise NotImplementedError
 
-    @property
-    def added(self) -> int:
-        """Bytes that a point of an output has more than the input."""
-        return 0
-
     def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
         report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]

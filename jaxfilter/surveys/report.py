@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -165,6 +165,18 @@ class RunReport:
     def was_complete(self) -> bool:
         """Whether an earlier run had done all."""
         return self.elapsed is None and self.forecast is None
+
+    def add_tile(self, number: int, summary: Summary) -> None:
+        """Take in a tile that is done."""
+        self.total.add(summary)
+        if summary.points:
+            self.table["ground"][number] = summary.ground / summary.points
+
+    def add_file(self, place: Place, remarks: Iterable[str], seconds: float = 0.0) -> None:
+        """Take in a file that is written, what was warned of, and how long it took."""
+        self.files.append(str(place))
+        self.total.remarks.update(remarks)
+        self.total.seconds["write"] += seconds
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""

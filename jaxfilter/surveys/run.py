@@ -13,7 +13,6 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from .area import meeting
 from .claim import Claim, claim_of
 from .collection import Collection
 from .executors import Executor, Outcome, Task, carried_out
-from .measures import Recipe, Sampler, whole_of
+from .measures import Sampler, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Plan, Where, plan_tiles, where_of
 from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, sees_lowest, write_file
@@ -72,6 +71,8 @@ class TiledSurvey(Survey):
         with targets.claimed(self.options):
             if (failed := self._done_before(product)) is not None:
                 return product.REPORT(files=[str(place) for place in targets.places], failed=failed)
+            if store.facts:
+                store.check_facts(store.facts, self._begin_of(product))
             product, plan = self._planned(product)
             self._record(product, plan)
             run = Run(product, plan, self.collection, targets, self.options)
@@ -147,20 +148,15 @@ class TiledSurvey(Survey):
     def _filter(self) -> tuple[Filter | None, Whole | None]:
         """The filter, and measures of the scene that its parts share: those that the run began with, or new ones."""
         recipe, facts = self.recipe, self.targets.store.facts
-        begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
-        given = facts["measures"] if begun and "measures" in facts else self.options.measures
-        whole = whole_of(given)
+        whole = whole_of(facts.get("measures", self.options.measures))
         if recipe is None:
             return None, whole or Whole()
-        if begun and "parameters" in facts:
-            found = facts["parameters"]
-            return FILTERS[found["method"]](**found["fields"]), whole
+        if found := facts.get("parameters"):
+            return (recipe.method or FILTERS[found["method"]])(**found["fields"]), whole
         if self.options.tile is None and self.collection.count <= WHOLE and self.where.fills:
             if not recipe.by_data:
                 return recipe.alone(), whole
-            used = tuple(
-                np.flatnonzero(self.collection.counts).tolist()
-            )  # all points, as the only tile of a run has them
+            used = tuple(np.flatnonzero(self.collection.counts).tolist())  # as the only tile of a run has them
             sources = tuple(self.collection[number] for number in used)
             everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
             return recipe.on(read_tile(everything, self.reading, whole, keep=True).cloud), whole
@@ -172,20 +168,28 @@ class TiledSurvey(Survey):
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
         store = self.targets.store
         tiles = {"halo": plan.halo, "number": len(plan), "digest": plan.digest()}
-        store.begin({"version": __version__, "inputs": self._digest(), **self._asked(product), "tiles": tiles})
-        if "parameters" not in store.facts and product.filter is not None:
-            fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
-            store.note(parameters={"method": type(product.filter).__name__.lower(), "fields": fields})
-        if "measures" not in store.facts and product.whole is not None:
-            store.note(measures=dataclasses.asdict(product.whole))
+        store.begin(self._begin_of(product) | {"tiles": tiles})
+        parameters, filter_, whole = None, product.filter, product.whole
+        if filter_ is not None:
+            fields = {field.name: getattr(filter_, field.name) for field in declared(filter_)}
+            parameters = {"method": type(filter_).__name__.lower(), "fields": fields}
+        store.note(parameters=parameters, measures=None if whole is None else dataclasses.asdict(whole))
+
+    def _begin_of(self, product: Product) -> dict[str, Any]:
+        """What is known of a run before its tiles are: it must be the same in a run that goes on."""
+        return {"version": __version__, "inputs": self._digest(), **self._asked(product)}
 
     def _asked(self, product: Product) -> dict[str, Any]:
         """What the command says, besides the files: it is the same before they are replaced and after."""
-        files, area = self.collection, self.reading.aoi and self.reading.aoi.wkt
-        reading = dataclasses.asdict(self.reading) | {"aoi": area}
+        files, recipe, area = self.collection, self.recipe, self.reading.aoi
+        reading = dataclasses.asdict(self.reading) | {"aoi": area and area.wkt}
         del reading["units"]
-        asked = {"units": [files.units.xy, files.units.z], "filter": facts_of(self.recipe), "reading": reading}
-        return asked | product.facts() | {"names": files.uris if self.targets.in_place else None}
+        filter_ = None
+        if recipe is not None:
+            filter_ = dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
+        names = files.uris if self.targets.in_place else None
+        units = [files.units.xy, files.units.z]
+        return {"units": units, "filter": filter_, "reading": reading, **product.facts(), "names": names}
 
     def _digest(self) -> str:
         """Tells the files, by name and content, from others."""
@@ -202,13 +206,6 @@ class TiledSurvey(Survey):
                     f"{source.uri}: was changed while the run was at work, and no input was replaced: pass overwrite=True to "
                     "begin anew"
                 )
-
-
-def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
-    """A recipe as plain values."""
-    if recipe is None:
-        return None
-    return dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
 
 
 def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
@@ -261,7 +258,8 @@ class Run:
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
         if self.targets.in_place:
-            self.targets.check_room(dict(self._sizes()))
+            numbers = np.flatnonzero(~self._is_written).tolist()
+            self.targets.check_room({n: identify(self.collection[n].place).size for n in numbers})
         executor = executor_for(self.options, self.plan.points, self._show_step)
         try:
             self._find_lowest(executor)
@@ -286,12 +284,6 @@ class Run:
         whole = dataclasses.replace(whole, lowest=self.store.facts["lowest"])
         self.product = dataclasses.replace(self.product, whole=whole)
 
-    def _sizes(self) -> Iterator[tuple[int, int]]:
-        """Number and bytes of each output that will take the place of an input, about."""
-        for number in np.flatnonzero(~self._is_written).tolist():
-            source = self.collection[number]
-            yield number, identify(source.place).size + self.product.added * source.count
-
     def _carry_out(self, executor: Executor) -> None:
         """Do tiles, and before them files, to which those are added that are complete."""
         done = self._look_for_done() if self.options.resume else np.zeros(len(self.plan), bool)
@@ -305,8 +297,7 @@ class Run:
                 self._fail(task.number, outcome.reason)
             else:
                 seconds, remarks = outcome.value
-                self.report.total.seconds["write"] += seconds
-                self._take_file(task.number, remarks)
+                self.report.add_file(self.targets.places[task.number], remarks, seconds)
             self._show()
 
     def _look_for_done(self) -> np.ndarray:
@@ -329,7 +320,7 @@ class Run:
                 self.report.total.remarks[f"{target}: {wrong}, so it had to be made again"] += 1
             if wrong is None and set(plan.tiles_of[file].tolist()) <= known.keys():
                 self._is_written[file] = True
-                self._take_file(file, kept[1])
+                self.report.add_file(target, kept[1])
             else:
                 store.drop_seal(file)
         done = np.zeros(len(plan), bool)
@@ -337,7 +328,7 @@ class Run:
             done[number] = labels or self._is_written[plan.home[number]].all()
             if done[number]:
                 self._missing[plan.home[number]] -= 1
-                self._add(number, summary)
+                self.report.add_tile(number, summary)
         self._standing.tiles_done = int(done.sum())
         return done
 
@@ -355,7 +346,7 @@ class Run:
         self._standing.tiles_done += 1
         if outcome.reason is None:
             self._standing.points += outcome.value.points
-            self._add(number, outcome.value)
+            self.report.add_tile(number, outcome.value)
             lost = outcome.value.unread
         else:
             self.report.table["ground"][number] = -1
@@ -369,15 +360,6 @@ class Run:
             if file in self._lost:
                 self._fail(file, self._lost[file])
         return [file for file in complete if file not in self._lost]
-
-    def _add(self, number: int, summary: Summary) -> None:
-        self.report.total.add(summary)
-        if summary.points:
-            self.report.table["ground"][number] = summary.ground / summary.points
-
-    def _take_file(self, number: int, remarks: list[str]) -> None:
-        self.report.files.append(str(self.targets.places[number]))
-        self.report.total.remarks.update(remarks)
 
     def _fail(self, number: int, reason: str) -> None:
         self.report.failed.append({"file": self.collection[number].uri, "reason": reason})
@@ -406,6 +388,5 @@ def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = Fal
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
     sources = tuple(collection[f] for f in files)
-    if plan.whole:
-        return Tile(number, None, None, files, sources, patient)
-    return Tile(number, plan.core(number), plan.window(number), files, sources, patient)
+    core, window = (None, None) if plan.whole else (plan.core(number), plan.window(number))
+    return Tile(number, core, window, files, sources, patient)

@@ -63,8 +63,7 @@ def in_memory(survey: Survey, product: Product) -> RunReport:
                 summary = do_tile(product, tile)
             finally:
                 LOCAL.reset(before)
-            report.total.add(summary)
-            report.table["ground"] = summary.ground / summary.points if summary.points else math.nan
+            report.add_tile(0, summary)
             standing.points = summary.points
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
@@ -72,9 +71,7 @@ def in_memory(survey: Survey, product: Product) -> RunReport:
         if product.writes_files and wanted and (tiles or not targets.in_place):
             how = {"overwrite": options.overwrite or options.resume, "in_place": targets.in_place}
             seconds, remarks = write_file(product, FileTask(0, files[0], tiles, targets.places[0], how))
-            report.total.remarks.update(remarks)
-            report.total.seconds["write"] += seconds
-            report.files.append(str(targets.places[0]))
+            report.add_file(targets.places[0], remarks, seconds)
         report.elapsed = time.perf_counter() - start
         if targets.folder is not None:
             report.put_into(targets.folder)

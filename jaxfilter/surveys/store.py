@@ -158,7 +158,7 @@ class Store(Memory):
         try:
             arrays = self.arrays(number)
             return Summary.of_json(arrays[_SUMMARY].tobytes().decode()), _STRIPPED not in arrays
-        except InputError:
+        except (InputError, *DAMAGED):
             return None
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:

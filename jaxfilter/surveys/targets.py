@@ -44,22 +44,18 @@ class Targets:
     def check(self, options: RunOptions) -> None:
         """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
         folder, replaced = self.folder, options.overwrite or options.resume
-        for place in self.places if folder is None else ():
-            if is_there(place) and not (replaced or self.in_place):
-                raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
-            if isinstance(place, Remote):
-                check_writable(place)
-        if folder is None:
-            return
-        held = self.held()
+        held = [] if folder is None else self.held()
         if held and not replaced:
             first, more = held[0], f" and {len(held) - 1} more" if len(held) > 1 else ""
             raise OutputError(
                 f"{folder}: is not empty, it holds {first}{more}: name another folder, {self.GO_ON}or pass overwrite=True to "
                 "begin anew"
             )
-        if isinstance(folder, Remote):
-            check_writable(folder / REPORT)
+        for place in self.places if folder is None else [folder / REPORT]:
+            if folder is None and is_there(place) and not (replaced or self.in_place):
+                raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
+            if isinstance(place, Remote):
+                check_writable(place)
 
     def complete(self, options: RunOptions) -> bool:
         """Whether a run that goes on finds all that it would make; files appear whole."""
