@@ -188,42 +188,6 @@ def test_text_beside_las(survey, tmp_path):
     assert np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
 
 
-class Dies(Here):
-    """Killed when ``function`` was done so often, before anyone heard of the last one."""
-
-    def __init__(self, function, after):
-        super().__init__()
-        self.function, self.after = function, after
-
-    def completed(self):
-        found = super().completed()
-        if [name for name, _ in self.calls].count(self.function) == self.after:
-            raise KeyboardInterrupt
-        return found
-
-
-def in_place(files, **how):
-    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, **how)
-    return jf.ground(files, None, PMF, run=options)
-
-
-@pytest.mark.parametrize("function, after", [("do_tile", 3), ("write_file", 1), ("write_file", 2)])
-def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after):
-    """No input is replaced before all outputs are written; in the end only a note of what was done is left."""
-    files, out = tmp_path / "files", tmp_path / "out"
-    shutil.copytree(survey, files)
-    jf.ground(survey, out, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, workers=1))
-    with pytest.raises(KeyboardInterrupt):
-        in_place(files, executor=Dies(function, after))
-    assert las_of_folder(files) == las_of_folder(survey)
-    with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
-        in_place(files)
-    executor = Here()
-    assert in_place(files, resume=True, executor=executor).complete
-    assert las_of_folder(files) == las_of_folder(out) and len(list(files.iterdir())) == 3
-    assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
-
-
 def test_a_small_file_goes_through_memory(survey, tmp_path):
     """What it has no use for is not loaded; nothing lies beside the output; its labels are those of a run in tiles."""
     code = """

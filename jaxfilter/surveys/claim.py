@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from ..core.errors import InputError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Seal, check_own, existing, identify, is_there, output_errors, seal_file, sync, warn_of_names
+from ..files.disk import check_own, existing, identify, is_there, output_errors, sync, warn_of_names
 from ..files.storage import Place, Remote, place_of
 from .options import RunOptions
 from .report import MAP, REPORT
@@ -44,13 +44,10 @@ class Claim(Targets):
         Raises: OutputError if there is something that would be lost, or another run is at it; InputError if what is left of
         a run to go on with is damaged.
         """
-        folder, store = self.folder, self.store
+        store = self.store
         goes_on = options.resume and (store.begun or store.done)
-        if folder is not None:
-            self.check(options)
         with self.made_folder(), store.locked():
-            if folder is None:
-                self.check(options)
+            self.check(options)
             if goes_on:
                 store.load()
             else:
@@ -62,16 +59,14 @@ class Claim(Targets):
 
     def check(self, options: RunOptions) -> None:
         """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
-        folder, store = self.folder, self.store
-        if (options.resume and store.begun) or (isinstance(folder, Path) and not folder.exists()):
+        if options.resume and self.store.begun:
             return
-        if folder is not None and options.resume:
-            held = self.held()
-            if there := [place.name for place in self.places if place.name in held]:
-                raise OutputError(
-                    f"{folder / there[0]}: exists, and no run was begun in {store.path.parent}: name another folder, or "
-                    "pass overwrite=True to begin anew"
-                )
+        held = self.held() if options.resume and self.folder is not None else []
+        if there := [place for place in self.places if place.name in held]:
+            raise OutputError(
+                f"{there[0]}: exists, and no run was begun in {self.store.path.parent}: name another folder, or pass "
+                "overwrite=True to begin anew"
+            )
         super().check(options)
 
     def held(self) -> list[str]:
@@ -93,9 +88,8 @@ class Claim(Targets):
                 place.unlink(missing_ok=True) if isinstance(place, Path) else place.remove()
 
     def complete(self, options: RunOptions) -> bool:
-        """Whether there is nothing to go on with: no run is under way, and the outputs, which appear whole, are there."""
-        asked = options.resume and not options.overwrite and not self.store.begun
-        return asked and self.folder is None and not self.in_place and all(map(is_there, self.places))
+        """Whether there is nothing to go on with: no run is under way, and the output is there."""
+        return self.folder is None and not self.store.begun and super().complete(options)
 
     def discard(self) -> None:
         """Remove all that the run has kept. Raises: OutputError."""
@@ -105,40 +99,36 @@ class Claim(Targets):
     # in place
 
     def part(self, number: int) -> Path | None:
-        """The file that is to take the place of an input, None unless ``in_place``."""
+        """The file that is to take the place of an input, None unless ``in_place``: it lies beside the input, or what its link
+        leads to; for an input in a store in the folder of the run."""
         if not self.in_place:
             return None
         place = self.places[number]
-        return self._part_folder(place) / f"{number}{COPC if is_copc(place) else place.suffix}"
+        folder = self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
+        return folder / f"{self._begin}{number}{COPC if is_copc(place) else place.suffix}"
 
-    def _part_folder(self, place: Place) -> Path:
-        """The folder of such a file: beside the input, or what its link leads to; that of the run for one in a store."""
-        beside = self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
-        return beside / f"{NEW}{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:16]}"
+    @property
+    def _begin(self) -> str:
+        """What the names of such files of this run begin with."""
+        return f"{NEW}{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:16]}-"
 
-    def _part_folders(self) -> set[Path]:
-        return {self._part_folder(place) for place in self.places} if self.in_place else set()
-
-    def make_parts(self) -> None:
-        """Make the folders in which those files lie. Raises: OutputError."""
-        for folder in self._part_folders():
-            check_own(folder, make=True)
+    def _folders(self) -> set[Path]:
+        """The folders in which such files lie."""
+        return {part.parent for number in range(len(self.places)) if (part := self.part(number)) is not None}
 
     def _drop_parts(self) -> None:
         """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
-        if self.store.done and (
-            left := [place for _, place, part in _entries(self.store.load_done()) if part.exists()]
-        ):
+        if self.store.done and (left := _left(self.store.load_done())):
             raise OutputError(
-                f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
-                "pass resume=True, which ends that, before anything else is done with them"
+                f"{left[0][1]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command "
+                "and pass resume=True, which ends that, before anything else is done with them"
             )
-        for folder in self._part_folders():
-            check_own(folder)
-            shutil.rmtree(folder, ignore_errors=True)
+        for part in [one for folder in self._folders() for one in folder.glob(f"{self._begin}*")]:
+            with output_errors(part):
+                part.unlink()
 
     def check_room(self, sizes: Mapping[int, int]) -> None:
-        """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
+        """``sizes``: bytes of inputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
         disks: dict[int, tuple[Path, int]] = {}
         for number, size in sizes.items():
             part = self.part(number)
@@ -162,59 +152,45 @@ class Claim(Targets):
         files = []
         for number, place in enumerate(self.places):
             if (part := self.part(number)) is not None and part.exists():
-                known = self.store.seal(number)
-                seal = dataclasses.asdict(seal_file(part) if known is None else known["seal"])
-                files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
-        self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
+                files.append({"file": str(place), "part": str(part), "before": _identity(place)})
+        self.store.put_done({"facts": facts, "failed": failed, "files": files})
         self.finish()
 
     def finish(self, facts: dict[str, Any] | None = None) -> list[dict[str, str]]:
         """Rename what is written and has not its place yet. ``facts``: that tell the command. Returns: what the run could not do.
 
-        Raises: InputError if another run was begun, or a file was changed after this one; OutputError.
+        Raises: InputError if another run was begun, or an input was changed meanwhile; OutputError.
         """
         store, done = self.store, self.store.load_done()
         if facts is not None:
-            store.check_facts(done["facts"] | {"names": done["names"]}, facts | {"names": self._names()})
-        for entry, place, part in _entries(done):
-            known = _identity(place)
-            if part.exists():
-                if isinstance(place, Path) and entry["before"] != known:
-                    raise InputError(
-                        f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or "
-                        "the other, and pass resume=True"
-                    )
-                continue
-            sealed = Seal(entry["size"], entry["checksum"], ())
-            changed = isinstance(place, Path) and entry.get("after") != known
-            if changed and (wrong := sealed.broken(place)) is not None:
+            store.check_facts(done["facts"], facts)
+        left = _left(done)
+        for before, place, part in left:
+            if isinstance(place, Path) and before != _identity(place):
                 raise InputError(
-                    f"{place}: {wrong} since the run in place has written it: put it back, or pass overwrite=True to begin anew"
+                    f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or "
+                    "the other, and pass resume=True"
                 )
-        for entry, place, part in _entries(done):
+        for _, place, part in left:
             with output_errors(place):
-                if part.exists() and isinstance(place, Path):
+                if isinstance(place, Path):
                     warn_of_names(place)
                     os.replace(part, os.path.realpath(place))
-                elif part.exists() and isinstance(place, Remote):  # it appears whole, and may be sent twice
+                else:  # it appears whole, and may be sent twice
                     place.put(part)
                     part.unlink()
-                entry["after"] = _identity(place)
-        for folder in self._part_folders():
+        for folder in self._folders():
             with contextlib.suppress(OSError):  # not every system can
-                sync(folder.parent)
-        store.put_done(done)
+                sync(folder)
         self._drop_parts()
         store.clear((DONE,))
         return list(done["failed"])
 
-    def _names(self) -> list[str]:
-        return [str(place) for place in self.places]
 
-
-def _entries(done: dict[str, Any]) -> list[tuple[dict[str, Any], Place, Path]]:
-    """What the record of a run in place says of each output, its place, and the file that was written."""
-    return [(entry, place_of(entry["file"]), Path(entry["part"])) for entry in done["files"]]
+def _left(done: dict[str, Any]) -> list[tuple[dict[str, Any] | None, Place, Path]]:
+    """The outputs that have not taken their places yet: what was there before, its place, and the file that was written."""
+    found = ((one["before"], place_of(one["file"]), Path(one["part"])) for one in done["files"])
+    return [(before, place, part) for before, place, part in found if part.exists()]
 
 
 def _identity(place: Place) -> dict[str, Any] | None:
@@ -231,38 +207,31 @@ def claim_of(targets: Targets, options: RunOptions, alone: bool) -> Claim:
     """
     import platformdirs
 
-    places, folder = targets.places, targets.folder
-    given = {field.name: getattr(targets, field.name) for field in dataclasses.fields(Targets)}
-    if folder is not None:
-        return Claim(**given, store=Store(_local(options.work, folder, folder) / _HIDDEN))
+    places, name = targets.places, _HIDDEN
     first = places[0].absolute()
+    short = f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
     near: Place = first if isinstance(first, Remote) else first.parent
-    name, short = f".{first.name}{_HIDDEN}", f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
-    if targets.called:
+    if targets.folder is not None:
+        near = targets.folder
+    elif targets.called:
         name = f".{targets.called}{_HIDDEN}"
     elif len(places) > 1:
-        near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
+        near = place_of(os.path.commonpath([str(place) for place in places]))
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
         near, name = platformdirs.user_state_path("jaxfilter"), short
         check_own(near, make=True)
-    elif len(os.fsencode(name)) > _LONGEST:
+    elif len(os.fsencode(name := f".{first.name}{_HIDDEN}")) > _LONGEST:
         name = short
-    store = Store(_local(options.work, first, near) / name)
-    if not options.resume and not options.overwrite and store.begun:
+    work = near if options.work is None else place_of(options.work)
+    if isinstance(work, Remote):
+        raise ParameterError(
+            f"work={options.work!r}: {targets.folder or first} is not on a local disk, and a run needs a local folder that all "
+            "workers see: pass work=..."
+        )
+    store = Store(work / name)
+    if targets.folder is None and store.begun and not (options.resume or options.overwrite):
         raise OutputError(
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
-    return Claim(**given, store=store)
-
-
-def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
-    """The local folder that is named, or the one ``beside`` the target. Raises: ParameterError."""
-    if work is None and isinstance(beside, Remote):
-        raise ParameterError(
-            f"work=None: {target} is not on a local disk, and a run needs a folder that all workers see: pass work=..."
-        )
-    local = beside if work is None else place_of(work)
-    if isinstance(local, Remote):
-        raise ParameterError(f"work={work!r}: must be a local folder")
-    return local
+    return Claim(**vars(targets), store=store)

@@ -7,10 +7,10 @@ import functools
 import glob
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pyproj
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
-T = TypeVar("T")
-R = TypeVar("R")
 Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
@@ -175,7 +173,8 @@ class Collection(tuple[Source, ...]):
     def with_true_extents(self) -> Collection:
         """The same files, each with the extent of its points where some of them show that the header states another; see
         :func:`jaxfilter.files.sources.with_true_extent`. Warns: of wrong extents."""
-        return Collection(_each(with_true_extent, self), self.unreadable, self.repeated)
+        with ThreadPoolExecutor(_THREADS) as pool:
+            return Collection(pool.map(with_true_extent, self), self.unreadable, self.repeated)
 
     def clipped(self, box: Bounds) -> Collection:
         """The files that may hold points of a half-open box, with their bounds as far as it; all if they have no points.
@@ -327,7 +326,9 @@ def open(
             if uri in entries:
                 repeated.append(uri)
             entries.setdefault(uri, entry)
-    found = _each(functools.partial(_source_of, stated=stated, points=len(entries) == 1), [*entries.values()])
+    alone = len(entries) == 1
+    with ThreadPoolExecutor(_THREADS) as pool:
+        found = list(pool.map(lambda entry: _source_of(entry, stated, alone), entries.values()))
     unreadable = [one for one in found if not isinstance(one, Source)]
     collection = Collection((one for one in found if isinstance(one, Source)), unreadable, dict.fromkeys(repeated))
     if not collection:
@@ -369,14 +370,6 @@ def _is_member(path: Path, asked: str = "") -> bool:
     """Files of LAS, and of text if a pattern asks for their suffix."""
     known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
     return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
-
-
-def _each(act: Callable[[T], R], these: Sequence[T]) -> list[R]:
-    """What a function returns of each, in their order; of several at the same time."""
-    if len(these) < 2:
-        return list(map(act, these))
-    with ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(act, these))
 
 
 def _source_of(entry: Entry, stated: Stated, points: bool) -> Source | tuple[str, str]:

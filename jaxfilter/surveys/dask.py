@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from typing import Any
 
 from ..core.errors import InputError, warn
@@ -11,7 +9,6 @@ from .executors import Pool
 
 _AHEAD = 2
 """Tasks in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
-_ASK = 1.0  # seconds between questions for the workers there are
 
 
 class Cluster(Pool):
@@ -27,7 +24,7 @@ class Cluster(Pool):
         Raises: InputError if the scheduler cannot be reached; ImportError if Dask is missing.
         """
         try:
-            from distributed import Client, KilledWorker
+            from distributed import Client
         except ImportError as error:
             raise ImportError("a Dask cluster needs dask: pip install 'jaxfilter[cluster]'") from error
         self._own = isinstance(client, str)
@@ -36,20 +33,15 @@ class Cluster(Pool):
                 client = Client(client, timeout=10, set_as_default=False)
             except (OSError, ValueError, TimeoutError) as error:
                 raise InputError(f"scheduler {client}: cannot be reached: {error}") from error
-        self._client, self._death = client, KilledWorker
-        self._futures = client.get_executor(pure=False)
-        self._workers, self._asked = 0, -math.inf
+        self._client, self._futures = client, client.get_executor(pure=False)
         if max(client.nthreads().values(), default=1) > 1:
             warn(
                 "workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned"
             )
 
     def most(self) -> int:
-        """Tasks that the workers there are now may be given, as of a second ago at most."""
-        if time.monotonic() - self._asked > _ASK:
-            self._workers = max(1, _AHEAD * sum(self._client.nthreads().values()))
-            self._asked = time.monotonic()
-        return self._workers
+        """Tasks that the workers there are now may be given."""
+        return max(1, _AHEAD * sum(self._client.nthreads().values()))
 
     def close(self) -> None:
         """Cancel what is in flight; a client that was made here is closed."""

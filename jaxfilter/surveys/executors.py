@@ -24,6 +24,8 @@ from .tiles import LOCAL, Local
 RETRIES = 2
 """Times that a task that failed is tried again before it is set aside."""
 _WAIT = 0.25  # seconds between ticks
+_DEATHS = ("BrokenProcessPool", "KilledWorker")
+"""What futures raise whose worker died."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +108,8 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
     except MemoryError:
         return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
     except Exception as error:
+        if type(error).__name__ in _DEATHS:
+            return Outcome(reason="a worker died; where the memory was short, pass a smaller tile=")
         own = type(error).__module__.startswith("jaxfilter")
         words = " ".join((str(error) if own else f"{type(error).__name__}: {error}").split())
         cause: BaseException | None = error
@@ -138,19 +142,15 @@ class Here:
 class Pool:
     """Processes of this machine. They are spawned, since JAX must not be forked, and end with their parent."""
 
-    _death: type[Exception] = BrokenProcessPool  # what a future raises whose worker died
     _futures: Futures
 
     def __init__(self, workers: int) -> None:
         """The first worker is started, to know that it can be. Raises: JaxfilterError."""
         self._workers = workers
         self._begin()
-        try:
-            self._futures.submit(os.getpid).result()
-        except BrokenProcessPool as error:
+        if self._futures.submit(os.getpid).exception() is not None:
             self.close()
-            words = f"a worker process ended as it began; what it said stands above; {unguarded()}"
-            raise JaxfilterError(words) from error
+            raise JaxfilterError(f"a worker process ended as it began; what it said stands above; {unguarded()}")
 
     def _begin(self) -> None:
         """Make the pool. Its workers hold one end of a pipe, and end when the other is closed, or this process ends."""
@@ -178,14 +178,8 @@ class Pool:
             if not running:
                 return
             done, _ = wait(running, _WAIT, FIRST_COMPLETED)
-            yield [(running.pop(future), self._outcome_of(future)) for future in done]
-
-    def _outcome_of(self, future: Future[Outcome]) -> Outcome:
-        """What :func:`attempt` has returned, or why it has not."""
-        if isinstance(future.exception(), self._death):
-            return Outcome(reason="a worker died; where the memory was short, pass a smaller tile=")
-        found = attempt(future.result, ())
-        return found if found.reason is not None else found.value
+            found = [(running.pop(future), attempt(future.result, ())) for future in done]
+            yield [(tag, outcome if outcome.reason is not None else outcome.value) for tag, outcome in found]
 
     def close(self) -> None:
         """End all processes."""

@@ -46,10 +46,10 @@ class Findings:
 
     def lines(self, most: int = 3) -> list[str]:
         """In words, one line for each kind, with the ``most`` first examples."""
-        told = [] if self.mixed is None else [self.mixed]
-        told += [reason for _, reason in self.unreadable[:most]]
+        lines = [] if self.mixed is None else [self.mixed]
+        lines += [reason for _, reason in self.unreadable[:most]]
         if len(self.unreadable) > most:
-            told.append(f"files that cannot be read: {len(self.unreadable)} in all")
+            lines.append(f"files that cannot be read: {len(self.unreadable)} in all")
         kinds: tuple[tuple[Sequence[Any], str, Callable[[Any], str]], ...] = (
             (self.repeated, "named more than once, counted once", str),
             (self.doubles, "pairs with the same number of points in the same bounds", " and ".join),
@@ -61,8 +61,8 @@ class Findings:
         for found, words, show in kinds:
             if found:
                 examples = "; ".join(show(one) for one in found[:most])
-                told.append(f"{words}: {len(found)} ({examples}{'; ...' if len(found) > most else ''})")
-        return told
+                lines.append(f"{words}: {len(found)} ({examples}{'; ...' if len(found) > most else ''})")
+        return lines
 
 
 class Footprints:

@@ -15,11 +15,13 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.classes import Classes, Finding, Found, class_changes, findings_of
+from ..files.disk import check_suffix
 from ..files.text import TEXT_SUFFIXES as TEXT
+from ..files.vectors import VECTOR_SUFFIXES
 from ..files.writing import Additions, Replacing, check_extra, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
-from .kept import WaterWanted, check_shapes, kept_water, list_places, list_water, suspects_in
+from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
@@ -84,11 +86,6 @@ class GroundProduct(Product):
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
         write_cloud(task.target, cloud, found, self.classes, additions, Replacing(**task.how))
-
-    @property
-    def added(self) -> int:
-        """The quantities, f32."""
-        return 4 * len(self.extra)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
@@ -158,7 +155,7 @@ def ground(
     listed, outlined = (None if one is None else Path(one) for one in (review, breaklines))
     for path in (listed, outlined):
         if path is not None:
-            check_shapes(path)
+            check_suffix(path, VECTOR_SUFFIXES)
     if listed is not None and outlined is not None and listed.absolute() == outlined.absolute():
         raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the places (review=): name another")
     survey = survey_of_points(what, out, recipe, reading, run)

@@ -78,11 +78,6 @@ class HeightProduct(GroundNeeded):
         additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
         write_cloud(task.target, cloud, result, Classes(), additions, Replacing(**task.how))
 
-    @property
-    def added(self) -> int:
-        """A height, f32."""
-        return 0 if self.replace_z else 4
-
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at. Raises: InputError."""
         list_places(self, report, collection, None, False)

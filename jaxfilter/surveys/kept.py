@@ -13,9 +13,9 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
-from ..files.disk import check_suffix
-from ..files.vectors import VECTOR_SUFFIXES, write_features
+from ..files.vectors import write_features
 from ..terrain.levels import WaterRuns, outlines
+from .area import within
 from .collection import Collection, common
 from .product import KEPT, Product
 from .report import RunReport
@@ -42,16 +42,8 @@ def suspects_in(
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
         found = np.zeros(0, SUSPECT)
-    if reading.aoi is not None:
-        from .area import within
-
-        found = found[within(reading.aoi, *(found["cell"].T + 0.5) * SIDE / around.cloud.units.xy)]
-    return {_SUSPECTS: found}
-
-
-def check_shapes(path: Path) -> None:
-    """Raises: OutputError if the name is not that of a GeoPackage or GeoJSON."""
-    check_suffix(path, VECTOR_SUFFIXES)
+    places = (found["cell"].T + 0.5) * SIDE / around.cloud.units.xy
+    return {_SUSPECTS: found[within(reading.aoi, *places)]}
 
 
 def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:

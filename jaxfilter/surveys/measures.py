@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -66,9 +66,7 @@ class Recipe:
             return default_filter(cloud, self.largest_building)
         if self.by_data:
             return self.method.for_cloud(cloud, self.largest_building, preset=self.preset, **self.changes)
-        filter_ = self.alone()
-        assert filter_ is not None
-        return filter_
+        return cast(Filter, self.alone())
 
 
 def recipe_of(filter_: Any) -> Recipe:
@@ -85,14 +83,6 @@ def whole_of(measures: Mapping[str, Any] | None) -> Whole | None:
     """Measures of a scene as a value, which ``RunReport.measures`` has as plain values; None if they are not given."""
     plain: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in (measures or {}).items()}
     return None if measures is None else Whole(**plain)
-
-
-def middle(box: Bounds, share: float, metre: float) -> Bounds:
-    """The middle of a closed box with this share of its area, half open; ``metre``: metres per unit."""
-    x0, y0, x1, y1 = box
-    side, slack = math.sqrt(min(1.0, share)), 0.001 / metre
-    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, side * (x1 - x0) / 2, side * (y1 - y0) / 2
-    return x - width, y - height, x + width + slack, y + height + slack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,6 +138,8 @@ class Sampler:
 
     def filter_for(self, recipe: Recipe) -> Filter:
         """The filter of a run, the same for all tiles, by the window with most candidates. Raises: ParameterError."""
+        if not recipe.by_data:
+            return cast(Filter, recipe.alone())
         clouds, whole = self.sample
         if not clouds:
             return recipe.on(joined([], whole))

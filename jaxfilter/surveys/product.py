@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,7 +23,7 @@ from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
 from .targets import Targets
-from .tiles import Around, Memory, Tile
+from .tiles import Around, Tile, read_tile
 
 CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
@@ -42,6 +43,34 @@ class FileTask:
     tiles: tuple[int, ...]
     target: Place
     how: dict[str, Any]
+
+
+class Memory:
+    """What is found of the one tile of a small file, until its outputs are written.
+
+    Attributes:
+        path: a folder for temporary files; None = the system's.
+    """
+
+    path: Path | None = None
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: Summary) -> None:
+        """Keep what was found of a tile. Raises: OutputError."""
+        self._arrays = dict(arrays)
+
+    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was found of the points of a tile; ``names``: those of it that are there. Raises: InputError if it is gone."""
+        return self._arrays if names is None else {name: self._arrays[name] for name in names if name in self._arrays}
+
+    def put_seal(self, task: FileTask, remarks: list[str]) -> None:
+        """Note that a file is written, and what was warned of. Raises: OutputError."""
+
+    def discard(self) -> None:
+        """Remove all that is kept. Raises: OutputError."""
+        self._arrays = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,11 +121,6 @@ class Product:
         """Write a file whose tiles are done. Raises: InputError, OutputError."""
         raise NotImplementedError
 
-    @property
-    def added(self) -> int:
-        """Bytes that a point of an output has more than the input."""
-        return 0
-
     def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
         report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
@@ -112,7 +136,7 @@ class Product:
     def read(self, tile: Tile, summary: Summary) -> Around:
         """The points of a tile and its halo; how many they are, and the time, goes into the summary. Raises: InputError."""
         start = time.perf_counter()
-        around = self.store.read(tile, self.reading, self.whole)
+        around = read_tile(tile, self.reading, self.whole)
         summary.seconds["read"] += time.perf_counter() - start
         summary.points, summary.read, summary.unread = len(around.own), len(around.cloud), around.left_out
         return around
@@ -155,19 +179,25 @@ class Product:
         return {}
 
 
-def done_tile(product: Product, tile: Tile) -> tuple[Summary, dict[str, np.ndarray]]:
-    """Work on a tile: a summary with what was warned of, and arrays. Raises: as ``Product.tile``."""
+def do_tile(product: Product, tile: Tile, last: bool = True) -> Summary:
+    """Work on a tile, and keep what was found of it: a summary with what was warned of. ``last``: this is not tried again, so
+    that a file that cannot be read is left out, if there are others.
+
+    Raises: as ``Product.tile``; OutputError.
+    """
     with collected_warnings() as remarks:
-        arrays, summary = product.tile(tile)
+        arrays, summary = product.tile(dataclasses.replace(tile, patient=tile.patient and last))
     summary.remarks.update(remarks)
-    return summary, arrays
+    product.store.put(tile.number, arrays, summary)
+    return summary
 
 
-def done_file(product: Product, task: FileTask) -> tuple[float, list[str]]:
-    """Write a file: seconds, and what was warned of. Raises: as ``Product.file``."""
+def write_file(product: Product, task: FileTask, last: bool = True) -> tuple[float, list[str]]:
+    """Write a file: seconds, and what was warned of; whether it is tried again changes nothing. Raises: as ``Product.file``."""
     start = time.perf_counter()
     with collected_warnings() as remarks:
         product.file(task)
+    product.store.put_seal(task, remarks)
     return time.perf_counter() - start, remarks
 
 
@@ -178,14 +208,11 @@ def sees_lowest(filter_: Filter | None) -> bool:
 
 def lowest_in_tile(product: Product, tile: Tile, last: bool = True) -> float | None:
     """Elevation of the lowest point of the core that the filter lets count (``lowest_among``), file units; None without any.
-    ``last``: a file that cannot be read is left out, if there are others.
-
-    Raises: as ``Product.tile``.
-    """
+    Of a tile that is everything the points are kept. ``last``, raises: as of :func:`do_tile`."""
     assert product.filter is not None
     with collected_warnings():
         tile = dataclasses.replace(tile, patient=tile.patient and last)
-        around = product.store.read(tile, product.reading, product.whole)
+        around = read_tile(tile, product.reading, product.whole, keep=tile.core is None)
         points = product.filter.points_of(around.cloud)
         if len(points) == 0 or not has_area(points.xyz):
             return None

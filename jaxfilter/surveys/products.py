@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -108,10 +109,10 @@ def products(
     source: GroundSource = Recipe() if ground is None else ground
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        given: Any = what, f"{folder / CLASSIFIED}/", source
-        classified = classify(*given, reading=reading, classes=classes, run=run)
+        act = functools.partial(classify, what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes)
+        classified = act(run=run)
         if classified.was_complete:  # its water is not known any more
-            classified = classify(*given, reading=reading, classes=classes, run=anew)
+            classified = act(run=anew)
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes

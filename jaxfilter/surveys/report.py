@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -63,26 +63,21 @@ class Summary:
             elif isinstance(mine, (collections.Counter, dict)):
                 mine.update(others)
             elif others is not None:
-                self.heights = others if mine is None else (min(mine[0], others[0]), max(mine[1], others[1]))
+                low, high = others if mine is None else (min(mine[0], others[0]), max(mine[1], others[1]))
+                self.heights = low, high
 
-    def as_json(self) -> dict[str, Any]:
-        """Plain values; counts become pairs of a list, since their keys may be no texts."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(Summary)}
-        pairs = {name: list(found[name].items()) for name in _PAIRS}
-        return json.loads(json.dumps(found | pairs, default=_plain))
+    def as_json(self) -> str:
+        """As text; what counts by other keys than text becomes pairs."""
+        pairs = {name: list(getattr(self, name).items()) for name in ("classes", "unread")}
+        return json.dumps(vars(self) | pairs, default=_plain)
 
     @classmethod
-    def of_json(cls, facts: dict[str, Any]) -> Self:
+    def of_json(cls, text: str) -> Self:
         """From what :meth:`as_json` returned."""
-        known = cls(**facts)
-        for name in _PAIRS:
-            pairs = ((tuple(key) if isinstance(key, list) else key, value) for key, value in facts[name])
-            setattr(known, name, type(getattr(cls(), name))(dict(pairs)))
-        known.heights = None if known.heights is None else (known.heights[0], known.heights[1])
-        return known
-
-
-_PAIRS = ("seconds", "classes", "overlap", "statuses", "remarks", "unread")
+        facts, found = json.loads(text), cls()
+        classes = {(old, new): count for (old, new), count in facts["classes"]}
+        found.add(cls(**(facts | {"classes": classes, "unread": dict(facts["unread"])})))
+        return found
 
 
 def _plain(value: Any) -> Any:
@@ -171,6 +166,18 @@ class RunReport:
         """Whether an earlier run had done all."""
         return self.elapsed is None and self.forecast is None
 
+    def add_tile(self, number: int, summary: Summary) -> None:
+        """Take in a tile that is done."""
+        self.total.add(summary)
+        if summary.points:
+            self.table["ground"][number] = summary.ground / summary.points
+
+    def add_file(self, place: Place, remarks: Iterable[str], seconds: float = 0.0) -> None:
+        """Take in a file that is written, what was warned of, and how long it took."""
+        self.files.append(str(place))
+        self.total.remarks.update(remarks)
+        self.total.seconds["write"] += seconds
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
         found = vars(self.total) | vars(self) | {"tiles": self.tiles, "was_complete": self.was_complete}
@@ -181,42 +188,32 @@ class RunReport:
         return found | {"seconds": dict(self.total.seconds), "complete": self.complete}
 
     def put_into(self, folder: Place) -> None:
-        """Put the report, and a map, into a folder. Raises: OutputError."""
-        self.write(folder / REPORT)
-        self.draw(folder / MAP)
-
-    def write(self, place: Place) -> None:
-        """Put the report into a file, as JSON. Raises: OutputError."""
-        with new_file(place, overwrite=True) as part:
+        """Put the report, as JSON, and a map into a folder. Raises: OutputError."""
+        with new_file(folder / REPORT, overwrite=True) as part:
             part.write_text(json.dumps(self.as_dict(), indent=1, default=_plain) + "\n")
+        self.draw(folder / MAP)
 
     def draw(self, place: Place) -> None:
         """Write a map: share of ground of each tile, those set aside with dashes, and places where the terrain may be wrong as
-        dots, large ones for large volumes; above it what was found, below it the largest places. Raises: OutputError."""
+        dots, large ones for large volumes; above it what was found. Raises: OutputError."""
         if not 0 < self.tiles <= _MOST_DRAWN:
             return
         from ..plots import footprints
 
         cores, ground = self.table["core"], self.table["ground"]
         shares = np.where(ground >= 0, 100 * ground, np.nan)
-        aside = [tuple(core) for core in cores[ground < 0].tolist()]
+        aside = cores[ground < 0].tolist()
         one = self.tiles == 1  # a scale of one colour would say nothing
         ax = footprints(cores, None if one else shares, label="ground, % of the points", gaps=aside)
         share = 100 * self.ground / max(self.points, 1)
         found = f"{self.ground:,} of {self.points:,} points are ground ({share:.1f} %)"
-        parts = (f"tiles: {self.tiles:,}", f"set aside: {len(aside):,}", f"files: {len(self.files):,}")
-        ax.set_title(f"{found}\n{self.method or 'ground by class'}; {', '.join(parts)}", fontsize=8)
+        parts = f"tiles: {self.tiles:,}, set aside: {len(aside):,}, files: {len(self.files):,}"
+        ax.set_title(f"{found}\n{self.method or 'ground by class'}; {parts}", fontsize=8)
         if self.places:
-            listed = ""
             x, y, volume = np.array([[one["x"], one["y"], one["volume"]] for one in self.places]).T
             size, words = 5 + 55 * volume / volume.max(), f"terrain may be wrong: {len(x):,} places"
-            for k, spot in enumerate(self.places[:5], 1):
-                ax.annotate(str(k), (spot["x"], spot["y"]), xytext=(4, 4), textcoords="offset points", fontsize=7)
-                listed += f"\n{k}: {spot['area']:,.0f} m2 at {spot['x']:.10g} {spot['y']:.10g}, {spot['reason']}"
             ax.scatter(x, y, s=size, c="red", edgecolors="black", linewidths=0.5, label=words)
-            ax.legend(
-                loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False, title=listed.strip(), title_fontsize=6
-            )
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
         with new_file(place, overwrite=True) as part:
             ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
 

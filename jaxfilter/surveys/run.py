@@ -12,10 +12,7 @@ import functools
 import hashlib
 import json
 import math
-import tempfile
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,20 +22,19 @@ from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.version import __version__
-from ..files.disk import identify, is_there, seal_file
+from ..files.disk import identify, is_there
 from ..files.sources import WHOLE, fingerprint
-from ..files.storage import Place
 from ..methods import FILTERS
 from .area import meeting
 from .claim import Claim, claim_of
 from .collection import Collection
 from .executors import Executor, Outcome, Task, carried_out
-from .measures import Recipe, Sampler, middle, whole_of
+from .measures import Sampler, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Plan, Where, plan_tiles, where_of
-from .product import Cut, FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
+from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, sees_lowest, write_file
 from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
-from .store import Store
+from .store import written
 from .survey import Survey
 from .tiles import Tile, read_tile
 
@@ -75,9 +71,10 @@ class TiledSurvey(Survey):
         with targets.claimed(self.options):
             if (failed := self._done_before(product)) is not None:
                 return product.REPORT(files=[str(place) for place in targets.places], failed=failed)
+            if store.facts:
+                store.check_facts(store.facts, self._begin_of(product))
             product, plan = self._planned(product)
             self._record(product, plan)
-            targets.make_parts()
             run = Run(product, plan, self.collection, targets, self.options)
             try:
                 run()
@@ -92,10 +89,13 @@ class TiledSurvey(Survey):
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")
                 raise
-            if targets.folder is not None:
-                run.report.put_into(targets.folder)
-            if run.report.complete and targets.folder is None:
-                store.discard()
+            if targets.folder is None:
+                if run.report.complete:
+                    store.discard()
+                return run.report
+            run.report.put_into(targets.folder)
+            for number in range(len(plan)) if run.report.complete else ():
+                store.strip(number)
         return run.report
 
     def _done_before(self, product: Product) -> list[dict[str, str]] | None:
@@ -111,23 +111,21 @@ class TiledSurvey(Survey):
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         self.targets.check(self.options)
         collection, options, nan = self.collection, self.options, math.nan
-        with tempfile.TemporaryDirectory() as folder:
-            targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            product, plan = dataclasses.replace(self, targets=targets)._planned(product)
-            each = _seconds_per_point(product, plan, collection)
+        product, plan = self._planned(product)
+        each = _seconds_per_point(product, plan, collection)
         many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan.points)
         area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1)) if many and len(plan) else nan
         side, halo = (math.sqrt(area) * collection.metre, plan.halo) if many else (nan, nan)
         memory = need(plan.points.max(initial=0.0)) * (workers if many else 1)
         seconds = each * collection.count * times / min(workers, len(plan))
-        files = [str(place) for place in targets.places]
+        files = [str(place) for place in self.targets.places]
         found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
         return product.REPORT(forecast=found)
 
     def _planned(self, product: Product) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
         filter_, whole = self._filter()
-        product = dataclasses.replace(product, whole=whole, store=Store(self.targets.store.path), filter=filter_)
+        product = dataclasses.replace(product, whole=whole, store=self.targets.store, filter=filter_)
         return product, self._plan(product.cut())
 
     def _plan(self, cut: Cut) -> Plan:
@@ -150,45 +148,48 @@ class TiledSurvey(Survey):
     def _filter(self) -> tuple[Filter | None, Whole | None]:
         """The filter, and measures of the scene that its parts share: those that the run began with, or new ones."""
         recipe, facts = self.recipe, self.targets.store.facts
-        begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
-        given = facts["measures"] if begun and "measures" in facts else self.options.measures
-        whole = whole_of(given)
+        whole = whole_of(facts.get("measures", self.options.measures))
         if recipe is None:
             return None, whole or Whole()
-        if begun and "parameters" in facts:
-            found = facts["parameters"]
-            return FILTERS[found["method"]](**found["fields"]), whole
-        filter_ = recipe.alone()
+        if found := facts.get("parameters"):
+            return (recipe.method or FILTERS[found["method"]])(**found["fields"]), whole
         if self.options.tile is None and self.collection.count <= WHOLE and self.where.fills:
-            if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
-                used = tuple(np.flatnonzero(self.collection.counts).tolist())
-                sources = tuple(self.collection[number] for number in used)
-                everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
-                filter_ = recipe.on(read_tile(everything, self.reading, whole, keep=True).cloud)
-            return filter_, whole
+            if not recipe.by_data:
+                return recipe.alone(), whole
+            used = tuple(np.flatnonzero(self.collection.counts).tolist())  # as the only tile of a run has them
+            sources = tuple(self.collection[number] for number in used)
+            everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
+            return recipe.on(read_tile(everything, self.reading, whole, keep=True).cloud), whole
         sampler = Sampler(self.collection, self.reading, self.where)
-        if filter_ is None or recipe.by_data:
-            filter_ = sampler.filter_for(recipe)
+        filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole
 
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
         store = self.targets.store
         tiles = {"halo": plan.halo, "number": len(plan), "digest": plan.digest()}
-        store.begin({"version": __version__, "inputs": self._digest(), **self._asked(product), "tiles": tiles})
-        if "parameters" not in store.facts and product.filter is not None:
-            fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
-            store.note(parameters={"method": type(product.filter).__name__.lower(), "fields": fields})
-        if "measures" not in store.facts and product.whole is not None:
-            store.note(measures=dataclasses.asdict(product.whole))
+        store.begin(self._begin_of(product) | {"tiles": tiles})
+        parameters, filter_, whole = None, product.filter, product.whole
+        if filter_ is not None:
+            fields = {field.name: getattr(filter_, field.name) for field in declared(filter_)}
+            parameters = {"method": type(filter_).__name__.lower(), "fields": fields}
+        store.note(parameters=parameters, measures=None if whole is None else dataclasses.asdict(whole))
+
+    def _begin_of(self, product: Product) -> dict[str, Any]:
+        """What is known of a run before its tiles are: it must be the same in a run that goes on."""
+        return {"version": __version__, "inputs": self._digest(), **self._asked(product)}
 
     def _asked(self, product: Product) -> dict[str, Any]:
         """What the command says, besides the files: it is the same before they are replaced and after."""
-        files, area = self.collection, self.reading.aoi and self.reading.aoi.wkt
-        reading = dataclasses.asdict(self.reading) | {"aoi": area}
+        files, recipe, area = self.collection, self.recipe, self.reading.aoi
+        reading = dataclasses.asdict(self.reading) | {"aoi": area and area.wkt}
         del reading["units"]
+        filter_ = None
+        if recipe is not None:
+            filter_ = dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
+        names = files.uris if self.targets.in_place else None
         units = [files.units.xy, files.units.z]
-        return {"units": units, "filter": facts_of(self.recipe), "reading": reading, **product.facts()}
+        return {"units": units, "filter": filter_, "reading": reading, **product.facts(), "names": names}
 
     def _digest(self) -> str:
         """Tells the files, by name and content, from others."""
@@ -207,21 +208,15 @@ class TiledSurvey(Survey):
                 )
 
 
-def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
-    """A recipe as plain values."""
-    if recipe is None:
-        return None
-    return dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
-
-
 def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
     """Of the tile in the middle of all by their points, without compilation: of two trials the faster counts."""
     if not collection.count:
         return 0.0
     number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
     tile = tile_of(plan, collection, number, patient=True)
-    box, held = (collection.bounds if tile.window is None else tile.window), float(plan.points[number])
-    part = middle(box, TRIED / max(held, 1.0), collection.metre)
+    low, high = np.array(collection.bounds if tile.window is None else tile.window).reshape(2, 2)
+    middle, half = (low + high) / 2, math.sqrt(min(1.0, TRIED / max(plan.points[number], 1.0))) * (high - low) / 2
+    part = (*(middle - half).tolist(), *(middle + half + 0.001 / collection.metre).tolist())
     tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
     for _ in range(2):
         start = time.perf_counter()
@@ -232,29 +227,6 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
             return math.nan
         best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
     return best
-
-
-def do_tile(product: Product, tile: Tile, last: bool) -> Summary:
-    """Work on a tile, and keep what was found of it; ``last``: this is not tried again.
-
-    Raises: as ``Product.tile``; OutputError.
-    """
-    summary, arrays = done_tile(product, dataclasses.replace(tile, patient=tile.patient and last))
-    product.store.put(tile.number, arrays, found := summary.as_json())
-    return Summary.of_json(found)
-
-
-def write_file(product: Product, task: FileTask, last: bool) -> dict[str, Any]:
-    """Write a file: its seal, what was warned of, and seconds; whether it is tried again changes nothing. Raises: as
-    ``Product.file``."""
-    seconds, remarks = done_file(product, task)
-    seal = dataclasses.asdict(seal_file(written(task.target, task.how["into"])))
-    return {"seal": seal, "remarks": remarks, "seconds": seconds}
-
-
-def written(target: Place, into: Path | None) -> Place:
-    """Where the content of an output lies now; ``into``: what is written first if it takes the place of an input."""
-    return target if into is None or not into.exists() else into
 
 
 @dataclasses.dataclass
@@ -273,18 +245,12 @@ class Run:
         self._progress = options.progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
-        self._unwritten = np.array(
-            [len(files) for files in plan.home], np.int64
-        )  # files per tile whose labels are still needed
         self._missing = np.array([len(tiles) for tiles in plan.tiles_of], np.int64)  # tiles per file that are not done
-        self._is_written = np.zeros(len(self._missing), bool)
-        self._hopeless: dict[int, str] = {}
-        if (aoi := product.reading.aoi) is not None:  # nothing of other files is wanted
-            for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
-                self._is_written[file] = True
-                self._need_no_more(file)
+        wanted = meeting(product.reading.aoi, self.collection.footprints) & product.writes_files
         if self.targets.in_place:  # what no tile labels stays as it is
-            self._is_written |= self._missing == 0
+            wanted &= self._missing > 0
+        self._is_written = ~wanted  # or need not be
+        self._lost: dict[int, str] = {}  # files without all their labels, and why
         self._standing = Standing("tiles", len(plan), times_read=plan.times_read(self.collection.count))
         self.report = product.REPORT(table=np.zeros(len(plan), TILE), elapsed=0.0)
         self.report.table["core"], self.report.table["ground"] = plan.cores, np.nan
@@ -292,7 +258,8 @@ class Run:
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
         if self.targets.in_place:
-            self.targets.check_room(dict(self._sizes()))
+            numbers = np.flatnonzero(~self._is_written).tolist()
+            self.targets.check_room({n: identify(self.collection[n].place).size for n in numbers})
         executor = executor_for(self.options, self.plan.points, self._show_step)
         try:
             self._find_lowest(executor)
@@ -317,66 +284,51 @@ class Run:
         whole = dataclasses.replace(whole, lowest=self.store.facts["lowest"])
         self.product = dataclasses.replace(self.product, whole=whole)
 
-    def _sizes(self) -> Iterator[tuple[int, int]]:
-        """Number and bytes of each output that will take the place of an input, about."""
-        for number in np.flatnonzero(~self._is_written).tolist():
-            source = self.collection[number]
-            size = identify(source.place).size
-            yield number, size + self.product.added * source.count
-
     def _carry_out(self, executor: Executor) -> None:
         """Do tiles, and before them files, to which those are added that are complete."""
-        done = self._look()
-        complete = (self._missing == 0) & ~self._is_written & self.product.writes_files
+        done = self._look_for_done() if self.options.resume else np.zeros(len(self.plan), bool)
+        complete = (self._missing == 0) & ~self._is_written
         tiles = (Task(do_tile, n, self._tile(n)) for n in np.flatnonzero(~done).tolist())
         files = collections.deque(self._writing(file) for file in np.flatnonzero(complete).tolist())
-        standing = self._standing
-        for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing)):
-            if task.function is write_file:
-                self._take_file(task.number, outcome)
-            else:
+        for task, outcome in carried_out(executor, tiles, files, self._show):
+            if task.function is do_tile:
                 files.extend(self._writing(file) for file in self._take_tile(task.number, outcome))
-            self._show(standing)
+            elif outcome.reason is not None:
+                self._fail(task.number, outcome.reason)
+            else:
+                seconds, remarks = outcome.value
+                self.report.add_file(self.targets.places[task.number], remarks, seconds)
+            self._show()
 
-    def _look(self) -> np.ndarray:
+    def _look_for_done(self) -> np.ndarray:
         """bool[t]: tiles that are done, and whose labels are there if a file still needs them."""
         plan, store = self.plan, self.store
-        known: dict[int, Summary] = {}
-        stripped: set[int] = set()
-        if not self.options.resume:
-            return np.zeros(len(plan), bool)
+        known: dict[int, tuple[Summary, bool]] = {}
         for number in range(len(plan)):
-            facts = store.summary(number)
-            if facts is None:
+            if (found := store.summary(number)) is None:
                 continue
-            if facts.pop("stripped", False):
-                stripped.add(number)
-            if not facts["unread"]:
-                known[number] = Summary.of_json(facts)
+            if not found[0].unread:
+                known[number] = found
             else:  # it lacks a file: it is done again, and the files that have its labels
                 for file in plan.home[number].tolist():
                     store.drop_seal(file)
         for file, target in enumerate(self.targets.places):
-            kept = store.seal(file)
-            if kept is None:
+            if (kept := store.seal(file)) is None:
                 continue
-            wrong = kept["seal"].broken(written(target, self.targets.part(file)))
-            if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
-                if wrong is not None:
-                    self.report.total.remarks[f"{target}: {wrong}, so it had to be made again"] += 1
+            wrong = kept[0].broken(written(target, self.targets.part(file)))
+            if wrong is not None:
+                self.report.total.remarks[f"{target}: {wrong}, so it had to be made again"] += 1
+            if wrong is None and set(plan.tiles_of[file].tolist()) <= known.keys():
+                self._is_written[file] = True
+                self.report.add_file(target, kept[1])
+            else:
                 store.drop_seal(file)
-                continue
-            self._is_written[file] = True
-            self.report.files.append(str(target))
-            self.report.total.remarks.update(kept["remarks"])
-            self._need_no_more(file)
         done = np.zeros(len(plan), bool)
-        for number, found in known.items():
-            used = not self.product.writes_files or bool(self._unwritten[number] > 0)  # by a file, or at the end
-            done[number] = not used or number not in stripped
+        for number, (summary, labels) in known.items():
+            done[number] = labels or self._is_written[plan.home[number]].all()
             if done[number]:
                 self._missing[plan.home[number]] -= 1
-                self._add(number, found)
+                self.report.add_tile(number, summary)
         self._standing.tiles_done = int(done.sum())
         return done
 
@@ -389,52 +341,28 @@ class Run:
         return Task(write_file, number, (self.product, FileTask(number, self.collection[number], tiles, target, how)))
 
     def _take_tile(self, number: int, outcome: Outcome) -> list[int]:
-        """Take in a tile; the files that are complete with it."""
-        standing, homes = self._standing, self.plan.home[number].tolist()
-        standing.tiles_done += 1
-        if outcome.reason is not None:
+        """Take in a tile; the files that can be written now."""
+        homes = self.plan.home[number].tolist()
+        self._standing.tiles_done += 1
+        if outcome.reason is None:
+            self._standing.points += outcome.value.points
+            self.report.add_tile(number, outcome.value)
+            lost = outcome.value.unread
+        else:
             self.report.table["ground"][number] = -1
             core = self.plan.core(number)
             self.report.set_aside.append({"tile": number, "core": core, "reason": outcome.reason})
             lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
-        else:
-            standing.points += outcome.value.points
-            self._add(number, outcome.value)
-            lost = outcome.value.unread
-        for file, reason in lost.items():
-            self._hopeless.setdefault(file, reason)
-        if not self.product.writes_files:
-            return []
+        self._lost = lost | self._lost
         self._missing[homes] -= 1
-        complete = {file for file in homes if self._missing[file] == 0 and not self._is_written[file]}
-        for file in sorted(complete & self._hopeless.keys()):
-            self._fail(file, self._hopeless[file])
-        return sorted(complete - self._hopeless.keys())
-
-    def _add(self, number: int, summary: Summary) -> None:
-        self.report.total.add(summary)
-        if summary.points:
-            self.report.table["ground"][number] = summary.ground / summary.points
-
-    def _take_file(self, number: int, outcome: Outcome) -> None:
-        if outcome.reason is not None:
-            self._fail(number, outcome.reason)
-            return
-        self.store.put_seal(number, outcome.value)  # before the labels go
-        self.report.files.append(str(self.targets.places[number]))
-        self.report.total.remarks.update(outcome.value["remarks"])
-        self.report.total.seconds["write"] += outcome.value["seconds"]
-        for tile in self._need_no_more(number):
-            self.store.strip(tile)
+        complete = [file for file in homes if self._missing[file] == 0 and not self._is_written[file]]
+        for file in complete:
+            if file in self._lost:
+                self._fail(file, self._lost[file])
+        return [file for file in complete if file not in self._lost]
 
     def _fail(self, number: int, reason: str) -> None:
         self.report.failed.append({"file": self.collection[number].uri, "reason": reason})
-
-    def _need_no_more(self, file: int) -> list[int]:
-        """The tiles whose labels only this file needed."""
-        tiles = self.plan.tiles_of[file]
-        self._unwritten[tiles] -= 1
-        return [int(tile) for tile in tiles[self._unwritten[tiles] == 0]]
 
     def _complete_report(self) -> None:
         report, uris = self.report, self.collection.uris
@@ -448,8 +376,8 @@ class Run:
         if len(self.plan) == 1:
             self._progress(dataclasses.replace(self._standing, step=step, share=share))
 
-    def _show(self, standing: Standing) -> None:
-        now = time.perf_counter()
+    def _show(self, standing: Standing | None = None) -> None:
+        standing, now = standing or self._standing, time.perf_counter()
         if now - self._shown > _WAIT or standing.tiles_done == standing.tiles:
             self._shown, standing.seconds = now, now - self._start
             standing.share = standing.tiles_done / max(standing.tiles, 1)
@@ -460,6 +388,5 @@ def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = Fal
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
     sources = tuple(collection[f] for f in files)
-    if plan.whole:
-        return Tile(number, None, None, files, sources, patient)
-    return Tile(number, plan.core(number), plan.window(number), files, sources, patient)
+    core, window = (None, None) if plan.whole else (plan.core(number), plan.window(number))
+    return Tile(number, core, window, files, sources, patient)

@@ -11,14 +11,14 @@ import numpy as np
 
 from ..core.cloud import Whole
 from ..files.copc import check_format, is_copc
-from ..files.disk import is_there
 from ..files.sources import WHOLE, squares_of
+from .area import meeting
 from .measures import whole_of
 from .options import check_memory
-from .product import FileTask, Product, done_file, done_tile, lowest_in_tile, sees_lowest
-from .report import REPORT, TILE, RunReport, Standing
+from .product import FileTask, Product, do_tile, lowest_in_tile, sees_lowest, write_file
+from .report import TILE, RunReport, Standing
 from .survey import Survey
-from .tiles import LOCAL, Local, Tile
+from .tiles import LOCAL, Local, Tile, read_tile
 
 
 def carry_out(survey: Survey, product: Product) -> Any:
@@ -42,52 +42,40 @@ def carry_out(survey: Survey, product: Product) -> Any:
 def in_memory(survey: Survey, product: Product) -> RunReport:
     """Make a product of one small file. Returns, raises: as :func:`carry_out`."""
     files, targets, options, reading = survey.collection, survey.targets, survey.options, survey.reading
-    store, start, replaced = product.store, time.perf_counter(), options.overwrite or options.resume
-    made = [*targets.places, *([] if targets.folder is None else [targets.folder / REPORT])]
-    if options.resume and not options.overwrite and not targets.in_place and all(map(is_there, made)):
+    start, show = time.perf_counter(), options.progress or (lambda standing: None)
+    if targets.complete(options):
         return product.REPORT(files=[str(place) for place in targets.places])
     targets.check(options)
     check_memory(options, files.count)
     with targets.made_folder():
-        source, wanted = files[0], True
-        if reading.aoi is not None:
-            from .area import meeting
-
-            wanted = bool(meeting(reading.aoi, files.footprints).any())
-        tiles = (0,) if source.count and wanted else ()
-        tile = Tile(0, None, None, (0,), (source,))
+        wanted = bool(meeting(reading.aoi, files.footprints).any())
+        tiles = (0,) if files.count and wanted else ()
+        tile = Tile(0, None, None, (0,), (files[0],))
         product = _set_up(survey, product, tile)
         report = product.REPORT(table=np.array([(files.bounds, math.nan)] * len(tiles), TILE), elapsed=0.0)
         standing = Standing("tiles", 1)
-        show = options.progress or (lambda standing: None)
         if tiles:
-            local = LOCAL.set(Local(options.workers, lambda share, step: show(_at(standing, share, step))))
+            local = Local(
+                options.workers, lambda share, step: show(dataclasses.replace(standing, step=step, share=share))
+            )
+            before = LOCAL.set(local)
             try:
-                summary, arrays = done_tile(product, tile)
+                summary = do_tile(product, tile)
             finally:
-                LOCAL.reset(local)
-            store.put(0, arrays, {})
-            report.total.add(summary)
-            report.table["ground"] = summary.ground / summary.points if summary.points else math.nan
+                LOCAL.reset(before)
+            report.add_tile(0, summary)
             standing.points = summary.points
         standing.tiles_done, standing.share, standing.seconds = 1, 1.0, time.perf_counter() - start
         show(standing)
         product.complete(report, files, targets, options)
         if product.writes_files and wanted and (tiles or not targets.in_place):
-            how = {"overwrite": replaced, "in_place": targets.in_place}
-            seconds, remarks = done_file(product, FileTask(0, source, tiles, targets.places[0], how))
-            report.total.remarks.update(remarks)
-            report.total.seconds["write"] += seconds
-            report.files.append(str(targets.places[0]))
+            how = {"overwrite": options.overwrite or options.resume, "in_place": targets.in_place}
+            seconds, remarks = write_file(product, FileTask(0, files[0], tiles, targets.places[0], how))
+            report.add_file(targets.places[0], remarks, seconds)
         report.elapsed = time.perf_counter() - start
         if targets.folder is not None:
             report.put_into(targets.folder)
     return report
-
-
-def _at(standing: Standing, share: float, step: str) -> Standing:
-    """How far a filter is."""
-    return dataclasses.replace(standing, step=step, share=share)
 
 
 def _set_up(survey: Survey, product: Product, tile: Tile) -> Product:
@@ -95,9 +83,8 @@ def _set_up(survey: Survey, product: Product, tile: Tile) -> Product:
     recipe, whole = survey.recipe, whole_of(survey.options.measures)
     if recipe is None:
         return dataclasses.replace(product, whole=whole or Whole())
-    filter_ = recipe.alone()
-    if filter_ is None or recipe.by_data:
-        filter_ = recipe.on(product.store.read(tile, survey.reading, whole).cloud)
+    by_data = recipe.by_data
+    filter_ = recipe.on(read_tile(tile, survey.reading, whole, keep=True).cloud) if by_data else recipe.alone()
     product = dataclasses.replace(product, filter=filter_, whole=whole)
     if whole is not None and sees_lowest(filter_):
         product = dataclasses.replace(product, whole=dataclasses.replace(whole, lowest=lowest_in_tile(product, tile)))

@@ -10,6 +10,7 @@ In place, ``done.json`` says that all outputs are written, and which files take 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import io
 import json
@@ -24,17 +25,16 @@ from typing import Any
 import filelock
 import numpy as np
 
-from ..core.cloud import Whole
 from ..core.errors import DAMAGED, InputError, OutputError
-from ..core.reading import Reading
-from ..files.disk import Seal, check_own, output_errors, sync
-from .product import KEPT
-from .tiles import Around, Memory, Tile, read_tile
+from ..files.disk import Seal, check_own, output_errors, seal_file, sync
+from ..files.storage import Place
+from .product import KEPT, FileTask, Memory
+from .report import Summary
 
 RUN, DONE, _LOCK = "run.json", "done.json", "lock"
-_SUMMARY, _PER_FOLDER = "summary", 1000
+_SUMMARY, _STRIPPED, _PER_FOLDER = "summary", "stripped", 1000
 NEW = ".jaxfilter-new-"
-"""Begins the names of folders of files that are to take the places of inputs."""
+"""Begins the names of files that are to take the places of inputs."""
 
 
 class Store(Memory):
@@ -103,17 +103,18 @@ class Store(Memory):
         for folder, folders, files in os.walk(self.path):
             if links := [name for name in (*folders, *files) if os.path.islink(os.path.join(folder, name))]:
                 raise OutputError(f"{folder}: holds a link ({links[0]}), which is not followed: remove it")
-        path = self.path / RUN
-        try:
-            self.facts = _read_json(path)
-        except FileNotFoundError:
-            self.facts = {}
-        except DAMAGED as error:
-            raise InputError(
-                f"{path}: is damaged, or not of this version ({' '.join(str(error).split())}): pass overwrite=True to begin "
-                "the run anew"
-            ) from error
+        self.facts = self._read(RUN, "pass overwrite=True to begin the run anew")
         return self.facts
+
+    def _read(self, name: str, advice: str) -> dict[str, Any]:
+        """What a file of facts holds; nothing if it is missing. Raises: InputError, with an advice, if it is damaged."""
+        try:
+            return json.loads((self.path / name).read_text()) | {}
+        except FileNotFoundError:
+            return {}
+        except DAMAGED as error:
+            words = " ".join(str(error).split())
+            raise InputError(f"{self.path / name}: is damaged, or not of this version ({words}): {advice}") from error
 
     def begin(self, facts: dict[str, Any]) -> None:
         """Start, or go on with, the run that the facts describe. Raises: InputError if another one is recorded; OutputError."""
@@ -126,7 +127,7 @@ class Store(Memory):
         """Raises: InputError if the run that was begun is another one."""
         for name, value in json.loads(json.dumps(facts)).items():
             if begun.get(name) != value:
-                before, now = (_cut(json.dumps(one, sort_keys=True)) for one in (begun.get(name), value))
+                before, now = (f"{json.dumps(one, sort_keys=True):.200}" for one in (begun.get(name), value))
                 raise InputError(
                     f"{self.path}: the run was begun with other {name} ({before}, now {now}), and results are not mixed: repeat "
                     "the first command, or pass overwrite=True to begin anew"
@@ -139,25 +140,25 @@ class Store(Memory):
 
     # tiles
 
-    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
-        """The points of a tile and its halo, see :func:`jaxfilter.surveys.tiles.read_tile`."""
-        return read_tile(tile, reading, whole)
-
     def tile(self, number: int) -> Path:
         """Where the file of a tile is."""
         return self.path / "tiles" / str(number // _PER_FOLDER) / f"{number}.tile"
 
-    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
+    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: Summary) -> None:
         """Write the file of a tile. Raises: OutputError."""
-        body, told = io.BytesIO(), np.frombuffer(json.dumps(summary).encode(), np.uint8)
-        np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
+        self._put(number, {**arrays, _SUMMARY: np.frombuffer(summary.as_json().encode(), np.uint8)})
+
+    def _put(self, number: int, arrays: dict[str, np.ndarray]) -> None:
+        body = io.BytesIO()
+        np.savez(body, **arrays)  # type: ignore[arg-type]
         self._write(self.tile(number), body.getbuffer())
 
-    def summary(self, number: int) -> dict[str, Any] | None:
-        """The summary of a tile, and whether it was ``stripped``; None if it is not done, or damaged."""
+    def summary(self, number: int) -> tuple[Summary, bool] | None:
+        """The summary of a tile, and whether its labels are there; None if it is not done, or damaged."""
         try:
-            return json.loads(self.arrays(number)[_SUMMARY].tobytes())
-        except InputError:
+            arrays = self.arrays(number)
+            return Summary.of_json(arrays[_SUMMARY].tobytes().decode()), _STRIPPED not in arrays
+        except (InputError, *DAMAGED):
             return None
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
@@ -172,23 +173,25 @@ class Store(Memory):
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""
-        if (summary := self.summary(number)) is not None:
-            arrays = {name: array for name, array in self.arrays(number).items() if name.startswith(KEPT)}
-            self.put(number, arrays, summary | {"stripped": True})
+        arrays = self.arrays(number)
+        if _STRIPPED not in arrays:
+            stays = {name: array for name, array in arrays.items() if name == _SUMMARY or name.startswith(KEPT)}
+            self._put(number, stays | {_STRIPPED: np.zeros(0)})
 
     # files
 
-    def seal(self, number: int) -> dict[str, Any] | None:
-        """What is known of a file that is finished, with its seal; else None."""
+    def seal(self, number: int) -> tuple[Seal, list[str]] | None:
+        """By which a finished file is known again, and what was warned of; else None."""
         try:
-            known = _read_json(self._file(number))
-            return known | {"seal": Seal(**known["seal"]), "remarks": list(known["remarks"])}
+            known = json.loads(self._file(number).read_text())
+            return Seal(**known["seal"]), list(known["remarks"])
         except DAMAGED:
             return None
 
-    def put_seal(self, number: int, facts: dict[str, Any]) -> None:
-        """Keep what is known of a file. Raises: OutputError."""
-        self._write_json(self._file(number), facts)
+    def put_seal(self, task: FileTask, remarks: list[str]) -> None:
+        """Keep by what a file is known again, and what was warned of. Raises: OutputError."""
+        seal = dataclasses.asdict(seal_file(written(task.target, task.how["into"])))
+        self._write_json(self._file(task.number), {"seal": seal, "remarks": remarks})
 
     def drop_seal(self, number: int) -> None:
         """A file is to be written again."""
@@ -209,13 +212,8 @@ class Store(Memory):
 
     def load_done(self) -> dict[str, Any]:
         """What :meth:`put_done` has kept. Raises: InputError."""
-        try:
-            return _read_json(self.path / DONE)
-        except DAMAGED as error:
-            raise InputError(
-                f"{self.path / DONE}: is damaged ({error}): look whether folders {NEW}* lie beside the inputs, whose files were "
-                "to take their places, and remove this folder"
-            ) from error
+        beside = f"look whether files {NEW}* lie beside the inputs, which were to take their places"
+        return self._read(DONE, f"{beside}, and remove this folder")
 
     # bytes
 
@@ -243,13 +241,6 @@ def _loaded(path: Path, changed: int) -> dict[str, np.ndarray]:
         return dict(stored)
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    """What a file holds. Raises: OSError, ValueError."""
-    found = json.loads(path.read_text())
-    if not isinstance(found, dict):
-        raise ValueError("it holds something else")
-    return found
-
-
-def _cut(text: str) -> str:
-    return text if len(text) < 200 else f"{text[:200]}..."
+def written(target: Place, into: Path | None) -> Place:
+    """Where the content of an output lies now; ``into``: what is written first if it takes the place of an input."""
+    return target if into is None or not into.exists() else into

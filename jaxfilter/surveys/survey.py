@@ -10,6 +10,7 @@ from typing import Any
 from ..core.errors import ParameterError, warn
 from ..core.process import check_main
 from ..core.reading import Reading
+from .area import area_of
 from .collection import Collection
 from .collection import open as open_collection
 from .measures import Recipe
@@ -43,8 +44,6 @@ def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collecti
         warn(f"{collection.name}: holds no points")
     collection = collection.with_true_extents()
     if reading.aoi is not None:
-        from .area import area_of
-
         reading = dataclasses.replace(reading, aoi=area_of(reading, collection))
     if clip and reading.bounds is not None:
         collection = collection.clipped(reading.bounds)

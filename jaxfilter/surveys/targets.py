@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ..core.errors import JaxfilterError, OutputError, ParameterError
+from ..core.errors import OutputError, ParameterError
 from ..files.disk import check_writable, is_there, output_errors
 from ..files.storage import Place, Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT
@@ -44,33 +44,30 @@ class Targets:
     def check(self, options: RunOptions) -> None:
         """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
         folder, replaced = self.folder, options.overwrite or options.resume
-        for place in self.places if folder is None else ():
-            if is_there(place) and not (replaced or self.in_place):
-                raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
-            if isinstance(place, Remote):
-                check_writable(place)
-        if folder is None:
-            return
-        held = self.held()
+        held = [] if folder is None else self.held()
         if held and not replaced:
             first, more = held[0], f" and {len(held) - 1} more" if len(held) > 1 else ""
             raise OutputError(
                 f"{folder}: is not empty, it holds {first}{more}: name another folder, {self.GO_ON}or pass overwrite=True to "
                 "begin anew"
             )
-        if isinstance(folder, Remote):
-            check_writable(folder / REPORT)
+        for place in self.places if folder is None else [folder / REPORT]:
+            if folder is None and is_there(place) and not (replaced or self.in_place):
+                raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
+            if isinstance(place, Remote):
+                check_writable(place)
+
+    def complete(self, options: RunOptions) -> bool:
+        """Whether a run that goes on finds all that it would make; files appear whole."""
+        made = [*self.places, *([] if self.folder is None else [self.folder / REPORT])]
+        return options.resume and not (options.overwrite or self.in_place) and all(map(is_there, made))
 
     def held(self) -> list[str]:
         """Names in the folder, sorted. Raises: OutputError."""
-        try:
-            if isinstance(self.folder, Remote):
-                return self.folder.held()
+        if isinstance(self.folder, Remote):
+            return self.folder.held()
+        with output_errors(self.folder or Path()):
             return [] if self.folder is None or not self.folder.exists() else sorted(os.listdir(self.folder))
-        except JaxfilterError as error:
-            raise OutputError(str(error)) from error
-        except OSError as error:
-            raise OutputError(f"{self.folder}: cannot be read: {error.strerror}") from error
 
     @contextlib.contextmanager
     def made_folder(self) -> Iterator[None]:
@@ -78,17 +75,17 @@ class Targets:
 
         Raises: OutputError.
         """
-        folder = self.folder if isinstance(self.folder, Path) else None
-        made = folder is not None and not folder.exists()
-        if folder is not None:
-            with output_errors(folder):
-                folder.mkdir(parents=True, exist_ok=True)
+        folder = self.folder
+        if not isinstance(folder, Path) or folder.exists():
+            yield
+            return
+        with output_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         try:
             yield
         except BaseException:
-            if folder is not None and made:
-                with contextlib.suppress(OSError):  # it holds something
-                    folder.rmdir()
+            with contextlib.suppress(OSError):  # it holds something
+                folder.rmdir()
             raise
 
 

@@ -7,9 +7,8 @@ and again, with the same outcome.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextvars import ContextVar
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..files.disk import Bounds
 from ..files.sources import Source, read_window
+from .area import within
 from .collection import common
 
 _LEAST = 1e-9
@@ -93,46 +93,15 @@ def read_tile(tile: Tile, reading: Reading, whole: Whole | None, keep: bool = Fa
     they are kept for whoever asks next in this process.
     """
     key = (tile.window, tile.sources, reading)
-    kept = _KEPT.pop() if _KEPT else None
-    around = kept[1] if kept is not None and kept[0] == key else _read(tile, reading, whole)
+    known, around = _KEPT.pop() if _KEPT else (None, None)
+    if around is None or known != key:
+        around = None  # let go of them before others are read
+        around = _read(tile, reading, whole)
     if keep:
         _KEPT.append((key, around))
     if whole is None and tile.core is None:
         return around  # the same cloud again: what is known of its order and spacing need not be found out anew
     return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole, core=tile.core))
-
-
-class Memory:
-    """What is found of the one tile of a small file, until its outputs are written.
-
-    Attributes:
-        path: a folder for temporary files; None = the system's.
-    """
-
-    path: Path | None = None
-
-    def __init__(self) -> None:
-        self._found: dict[str, np.ndarray] = {}
-        self._around: Around | None = None
-
-    def read(self, tile: Tile, reading: Reading, whole: Whole | None) -> Around:
-        """The points of a tile, see :func:`read_tile`; here they are read once."""
-        around = self._around = self._around or read_tile(tile, reading, None)
-        if whole is None:
-            return around
-        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole))
-
-    def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
-        """Keep what was found of the points of a tile, and let go of these."""
-        self._found, self._around = dict(arrays), None
-
-    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """What was found of the points of a tile; ``names``: those of it that are there."""
-        return self._found if names is None else {name: self._found[name] for name in names if name in self._found}
-
-    def discard(self) -> None:
-        """Remove all that is kept."""
-        self._found = {}
 
 
 def _read(tile: Tile, reading: Reading, whole: Whole | None) -> Around:
@@ -159,8 +128,6 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None) -> Around:
             clouds.append(cloud)
             own = inside(cloud, tile.core)
             if reading.aoi is not None:
-                from .area import within
-
                 own &= within(reading.aoi, *cloud.coordinates()[:, :2].T)
             cores.append(own)
             numbers.append(number)
