@@ -221,7 +221,7 @@ def _ground_each(
         for number, ground in _ground_each(again[0], points, again, key=key, workers=workers, memory=memory):
             yield rest[number], ground
     some = [sets[number] for number in same]
-    size = max(a.size for a in jax.tree.leaves(prepared))
+    size = max(np.size(a) for a in jax.tree.leaves(prepared))
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
     threads = workers or os.cpu_count() or 1
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.cloud import QUANTUM
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
 from ..files.sources import SCATTERED, SQUARE, WHOLE, Squares, square_keys, squares_of
@@ -26,8 +27,8 @@ MOST_READ = 2.5
 MOST_TILES, _MOST_SQUARES = 20_000_000, 1_000_000
 _NEAR = 1000.0
 """Metres: points in a square of this side are not scattered."""
-_ROUNDED, _SLACK = 0.01, 0.005
-"""Units by which bounds in headers may be off, and by which coordinates are rounded at most."""
+_ROUNDED = 0.01
+"""Units by which bounds in headers may be off."""
 
 Lists = list[np.ndarray]
 """Numbers of files for each tile, or of tiles for each file, i64, ascending."""
@@ -60,7 +61,8 @@ class Where:
         """
         known = found or {}
         used = np.array([n for n in np.flatnonzero(counts > 0).tolist() if n not in known], np.int64)
-        box = bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
+        slack = QUANTUM / metre * np.array([-1, -1, 1, 1])  # coordinates are rounded
+        box = bounds[used] + slack
         area = float((box[:, 2:] - box[:, :2]).prod(axis=1).sum()) * metre**2
         larger = 2 ** max(0, math.ceil(math.log2(max(math.sqrt(area / _MOST_SQUARES) / SQUARE, 1.0))))
         side = larger * SQUARE / metre
@@ -76,8 +78,8 @@ class Where:
         filled = counts > 0
         limits = np.array([-np.inf] * 4)
         if filled.any():
-            limits = np.append(bounds[filled, :2].min(axis=0) - _SLACK, bounds[filled, 2:].max(axis=0) + _SLACK)
-        low, high = np.maximum(low - _ROUNDED, limits[:2]), np.minimum(low + side + _ROUNDED, limits[2:])
+            limits = np.append(bounds[filled, :2].min(axis=0), bounds[filled, 2:].max(axis=0)) + slack
+        low, high = np.maximum(low + slack[:2], limits[:2]), np.minimum(low + side + slack[2:], limits[2:])
         there = (low < high).all(axis=1)
         return cls(bounds, counts, metre, low[there], high[there], np.bincount(member, held, len(first))[there])
 
