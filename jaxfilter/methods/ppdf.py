@@ -184,7 +184,7 @@ class PPDF(Filter):
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = _default_draws() if key is None else _draws(key)
+        draws = _draws(jax.random.key(0) if key is None else key)
         search = PlaneSearch(self.cell, self.min_points, INLIER_DISTANCE, self.division_distance, self.max_slope)
         counted = under if self.seeds == "planes" else np.zeros_like(under)
         planes = progressive_planes(points, counted, draws, search)
@@ -271,14 +271,10 @@ class PPDF(Filter):
         return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)
 
 
+@jax.jit
 def _draws(key: jax.Array) -> jax.Array:
     """f32[:data:`HYPOTHESES`, 3], 0 to 1."""
     return jax.random.uniform(key, (HYPOTHESES, 3), jnp.float32)
-
-
-@jax.jit
-def _default_draws() -> jax.Array:
-    return _draws(jax.random.key(0))
 
 
 @passed.register(PPDF)
