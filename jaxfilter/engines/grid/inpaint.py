@@ -337,10 +337,8 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     def at(border: _Pair) -> _Pair:
         return _each(lambda border: _at(border, 0, wide), border)
 
-    insides, knowns = (
-        quarters_of(inside),
-        quarters_of(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim))),
-    )
+    insides = quarters_of(inside)
+    knowns = quarters_of(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim)))
     holes = jax.tree.map(lambda there, known: there & ~known, insides, knowns)
     heights = jax.tree.map(lambda known, z: jnp.where(known, z, 0), knowns, quarters_of(z))
     pooled = _sum(jax.tree.leaves(heights)), _sum(cells.astype(z.dtype) for cells in jax.tree.leaves(knowns))
@@ -450,11 +448,8 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     tall, wide = _BLOCK if jax.default_backend() == "cpu" else z.shape
     down, across = -(-rows // tall), -(-columns // wide)
     margin = across * wide
-    squares = jnp.pad(
-        gap * gap,
-        ((0, down * tall - rows), (margin, 2 * margin - columns)),
-        constant_values=jnp.iinfo(jnp.int32).max // 2,
-    )
+    widths = (0, down * tall - rows), (margin, 2 * margin - columns)
+    squares = jnp.pad(gap * gap, widths, constant_values=jnp.iinfo(jnp.int32).max // 2)
     wanted = jnp.pad(inside, ((0, down * tall - rows), (0, across * wide - columns)))
 
     def search(block: jax.Array, found: jax.Array) -> jax.Array:
