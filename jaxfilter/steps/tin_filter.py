@@ -31,11 +31,6 @@ _BYTES = 250
 """About so many of memory per point and growth."""
 
 
-def facet_reach(cell: float) -> float:
-    """Metres: the half diagonal of a cell and its eight neighbours, how far facets between one seed per cell reach."""
-    return 1.5 * math.sqrt(2.0) * cell
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TinFilter(OutlierFilter):
     """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.

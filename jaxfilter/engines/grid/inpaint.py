@@ -162,10 +162,10 @@ def _near(cells: tuple[_Pair, _Pair], colour: int, columns: int) -> tuple[tuple[
     return _around(there, 2 * colour - 1, columns)
 
 
-def _totals(holes: tuple[_Pair, _Pair], insides: tuple[_Pair, _Pair], columns: int) -> list[_Pair]:
-    """Springs at each hole, infinitely many elsewhere."""
+def _totals(holes: tuple[_Pair, _Pair], to: tuple[_Pair, _Pair], columns: int, other: float) -> list[_Pair]:
+    """Springs at each hole to cells of a kind; elsewhere so many as ``other``."""
     return [
-        _each(lambda hole, near: jnp.where(hole, _sum(near), jnp.inf), holes[colour], _near(insides, colour, columns))
+        _each(lambda hole, near: jnp.where(hole, _sum(near), other), holes[colour], _near(to, colour, columns))
         for colour in range(2)
     ]
 
@@ -183,9 +183,7 @@ def _forces(here: _Pair, there: _Pair, hole: _Pair, seen: tuple[Any, Any], side:
 def _first_level(holes: tuple[_Pair, _Pair], knowns: tuple[_Pair, _Pair], shape: tuple[int, int]) -> _Level:
     """The coarse level that is made of all four quarters."""
     columns, ((a, b), (c, d)) = shape[1], holes
-    fixed = [
-        _each(lambda hole, near: jnp.where(hole, _sum(near), 0), holes[k], _near(knowns, k, columns)) for k in range(2)
-    ]
+    fixed = _totals(holes, knowns, columns, 0)
     a, b, c, d = (_with_border(hole.astype(jnp.float32), columns) for hole in (a, b, c, d))
     right = (_at(c, 0, columns) * _at(a, 1, columns) + _at(b, 0, columns) * _at(d, 1, columns)) / 2
     up = (_at(d, 0, columns) * _at(a, columns, columns) + _at(b, 0, columns) * _at(c, columns, columns)) / 2
@@ -348,7 +346,7 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     for factors in plan:
         levels[-1] = _Level(*settle(levels[-1][:3]), levels[-1].shape)
         levels.append(_coarser(levels[-1], factors))
-    black_hole, (black_total, red_total) = holes[0], _totals(holes, insides, wide)
+    black_hole, (black_total, red_total) = holes[0], _totals(holes, insides, wide, jnp.inf)
 
     def reds(black: _Pair, red: _Pair, force: _Pair | None = None) -> _Pair:
         """Where black cells, bordered, and forces hold the red ones."""
