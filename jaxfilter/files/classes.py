@@ -128,11 +128,6 @@ def table_of(classes: Classes) -> np.ndarray:
     return table
 
 
-def largest(classes: Classes) -> int:
-    """The largest number that points may get."""
-    return max(classes.ground_class, classes.other_class, *(getattr(classes, name) or 0 for name in _OPTIONAL))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
     """``ground``: bool[n]; ``code``: u8[n], a :class:`Finding` of each point, as far as classes depend on it."""

@@ -162,9 +162,8 @@ def check_chunks(header: Header, file: BinaryIO) -> int:
     _refuse(path, chunks * length > file_size, f"{chunks} compressed chunks cannot fit into {file_size} bytes")
     varying, (_, sizes, held) = compressor.uses_variable_size_chunks(), (table := chunk_table(header, file))
     most = least = int(held.sum())
-    if not varying and len(
-        sizes
-    ):  # the last one holds anything from one point on, if it is more than the end of a stream
+    if not varying and len(sizes):
+        # the last one holds anything from one point on, if it is more than the end of a stream
         least += int(sizes[-1] >= length) - int(held[-1])
     _refuse(path, begin + sizes.sum() != start, "the compressed chunks do not end where their table begins")
     largest, memory = min(header.count, int(held.max(initial=0))), psutil.virtual_memory().total
@@ -221,9 +220,8 @@ def _check_sizes(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarra
     if header.point_format < 6 and len(there):
         wrong = _wrong_chunks(header, file, table[:, there])
     elif header.point_format >= 6:
-        layers = sum(
-            width if kind == 14 else {_POINT14: 9, 12: 2}.get(kind, 1) for kind, width, _ in items_of(header.laszip)
-        )
+        items = items_of(header.laszip)
+        layers = sum(width if kind == 14 else {_POINT14: 9, 12: 2}.get(kind, 1) for kind, width, _ in items)
         first, counts = header.record_length + 4 + 4 * layers, np.zeros(table.shape[1], np.int64)
         wrong = size < first
         if not wrong.any():

@@ -183,9 +183,7 @@ def read_points(
                     low, high = (ends[:, :2] * header.scales[:2] + header.offsets[:2] for ends in _ends(group, points))
                     if not ((low >= group.low) & (high <= group.high)).all():
                         words = "points lie outside the cubes of its octree, so those of a box cannot be found"
-                        raise InputError(
-                            f"{header.path}: {words}: read the whole file, without bounds, and write it anew"
-                        )
+                        raise InputError(f"{header.path}: {words}: read all of it, without bounds, and write it anew")
                 kept = inside(coordinates(points, header, 2), bounds)
                 points, numbers = points[kept], numbers[kept]
             yield points, numbers
@@ -467,9 +465,7 @@ def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] 
             struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), text.encode()) for name, kind, text in entries
         ]
         if len(described := b"".join(data)) > 65_535:
-            raise OutputError(
-                f"{header.path}: its points have too many extra bytes: one record cannot describe more of them"
-            )
+            raise OutputError(f"{header.path}: its points have too many extra bytes: one record cannot describe more")
         yield vlr(*EXTRA_BYTES, described)  # readers look at one record only
     for record in kept:
         if not extra or record.key != EXTRA_BYTES:

@@ -186,9 +186,7 @@ class _Lines(NamedTuple):
             if len(table) == n and (table[end] == _END).all():
                 return {name: table[column].to_numpy(float) for name, column in self.columns.items()}
         self._check(n)
-        raise InputError(
-            f"{self.path}: cannot be split into cells; close all quotes, and take line breaks out of cells"
-        )
+        raise InputError(f"{self.path}: cannot be split into cells; close quotes, and take line breaks out of cells")
 
     def table(self, columns: Sequence[int], **options: Any) -> Any:
         """The cells of some columns, as a table of pandas; behind the last one of the file is a column of :data:`_END`."""

@@ -38,9 +38,8 @@ def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFra
         _check_source(Path(path))
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
         if len(layers) != 1:
-            raise ValueError(
-                f"one layer of shapes is needed, in a file of its own; it has {', '.join(layers) or 'none'}"
-            )
+            found = ", ".join(layers) or "none"
+            raise ValueError(f"one layer of shapes is needed, in a file of its own; it has {found}")
         table = geopandas.read_file(path, layer=layers[0])
     except Exception as error:  # GDAL has many of its own
         raise InputError(f"{path}: cannot be read as {what}: {error}") from error

@@ -18,7 +18,7 @@ from ..core.inputs import COLUMN_TYPES
 from ..core.result import FilterResult
 from ..core.units import CRS_RECORDS, GEOKEYS, WKT, for_outputs, geokeys
 from . import copc
-from .classes import Classes, Found, asked, findings_of, largest, table_of
+from .classes import Classes, Found, asked, findings_of, table_of
 from .disk import Identity, new_file
 from .guard import read_header
 from .header import FLOATS, Header
@@ -225,7 +225,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     las = cloud.source if isinstance(cloud.source, Handle) else None
     header = _fresh_header(path, cloud) if las is None else las.header
     chunks = [_fresh_points(path, header, cloud)] if las is None else las.records(cast(BinaryIO, opened))
-    number, most = header.point_format, largest(labels.rule)
+    number, most = header.point_format, int(labels.table.max(initial=0, where=labels.table != np.arange(256)))
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "

@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.growth import Growth, Mirror, Network, Outliers
+from ..engines.tin.growth import Growth, Mirror, Network
 from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
 from ..steps.outlier_filter import OutlierFate, OutlierRadius
-from ..steps.outliers import bar_outliers
 from ..steps.tin_filter import surrounded
 from .papers import bibtex
 from .ptd import PTD
@@ -102,18 +101,6 @@ class AGPTD(OutlierRadius, OutlierFate, PTD):
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         radius = max(1.0, round(6.0 * spacing, 1))  # four times the largest spacing, which is half as much again
         return super().from_spacing(spacing, largest_building) | {"radius": radius}
-
-    def outliers(self, points: Points, workers: int | None) -> Outliers:
-        """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
-        found = bar_outliers(
-            points,
-            clusters=self.low_clusters,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            neighbours=self.neighbours,
-            workers=workers,
-        )
-        return found._replace(removed=self.outlier_fate == "removed")
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")

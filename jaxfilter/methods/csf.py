@@ -132,11 +132,6 @@ class CSF(Filter):
         """f32[m], metres by which the distance from the cloth exceeds the threshold."""
         return np.abs(above) - np.float32(self.threshold)
 
-    def _motion(self) -> tuple[tuple[float, float], Any]:
-        """Shares of a gap that a particle moves towards one that is pinned and one that is not; metres of fall per step."""
-        moves = (1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness))
-        return moves, GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
-
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         cell = self.resolution
@@ -163,7 +158,9 @@ class CSF(Filter):
         exists = np.zeros(shape, bool)
         exists[:rows, :columns] = True
         limit = top - np.asarray(fill_along_lines(low, carried, exists))[:rows, :columns]
-        cloth = drape(limit, *self._motion(), REST, int(self.iterations), workers)
+        moves = 1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness)
+        fall = GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
+        cloth = drape(limit, moves, fall, REST, int(self.iterations), workers)
         height, pinned = cloth.height, cloth.pinned
         if self.smooth:
             joined = join_slopes(limit, pinned, self.max_step)

@@ -15,7 +15,7 @@ from ..engines.tin.growth import Growth, Network
 from ..engines.tin.network import block_networks, border_positions
 from ..steps.outlier_filter import OutlierRadius
 from ..steps.seeds import lowest_per_window
-from ..steps.tin_filter import VertexSpacing, facet_reach, surrounded
+from ..steps.tin_filter import VertexSpacing, surrounded
 from .papers import bibtex
 
 
@@ -114,7 +114,7 @@ class FPTD(OutlierRadius, VertexSpacing):
         seeds = lowest_per_window(points, self.window, self.stride, outliers.barred, name)
         if self.blocks == "independent":
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
-            return block_networks(
-                points, seeds, border, outliers, size=self.window, overlap=self.stride, reach=facet_reach(self.window)
-            )
+            reach = 1.5 * math.sqrt(2.0) * self.window  # the half diagonal of a window and its eight neighbours
+            sizes = {"size": self.window, "overlap": self.stride, "reach": reach}
+            return block_networks(points, seeds, border, outliers, **sizes)
         return surrounded(self, points, seeds, outliers, self.window)

@@ -92,7 +92,7 @@ class MSF(LowOutlierFilter):
         """
         cells, reach = prepared, math.floor(self.window / self.cell + 1e-6)
         slope, highest, tolerance = (jnp.float32(v) for v in (self.slope, self.max_height, self.initial_distance))
-        rise = slope * cells.frame[2]
+        rise = slope * cells.grid.cell
         lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
         steep = jnp.minimum(jnp.float32(reach), (highest - tolerance) / rise)
         cone = cone_erosion(lowest, rise, steep, reach)

@@ -187,15 +187,8 @@ class PMF(LowOutlierFilter):
             return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
 
         radii, nothing = jnp.array(self.radii()), jnp.full_like(surface, jnp.inf)
-        last, limits = progressive_opening(
-            surface,
-            jnp.asarray(cells.valid),
-            radii,
-            look,
-            (nothing, -nothing),
-            reach=max(self.radii()),
-            element=self.element,
-        )
+        valid, how = jnp.asarray(cells.valid), {"reach": max(self.radii()), "element": self.element}
+        last, limits = progressive_opening(surface, valid, radii, look, (nothing, -nothing), **how)
         return Surface.over(cells, last, limits, {"windows": len(radii)})
 
     def _soft(self, prepared: tuple[Cells, jax.Array], xyz: jax.Array, width: jax.Array | float) -> jax.Array:

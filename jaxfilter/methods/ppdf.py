@@ -166,11 +166,7 @@ class PPDF(Filter):
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points up to the limit from their local planes, f32[m], metres, on either side."""
-        return reference | self._within(distance, self.max_distance)
-
-    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
-        """bool[m], points on either side of their planes, f32[m] metres from them, up to the limit."""
-        return np.abs(distance) <= limit
+        return reference | (np.abs(distance) <= self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -184,7 +180,7 @@ class PPDF(Filter):
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = _default_draws() if key is None else _draws(key)
+        draws = _draws(jax.random.key(0) if key is None else key)
         search = PlaneSearch(self.cell, self.min_points, INLIER_DISTANCE, self.division_distance, self.max_slope)
         counted = under if self.seeds == "planes" else np.zeros_like(under)
         planes = progressive_planes(points, counted, draws, search)
@@ -207,7 +203,7 @@ class PPDF(Filter):
         for values in over:  # a plane of the cloud is none of the ground: without references near there is none
             values[may_be & ~reference] = np.nan
         around = self._around(xyz, np.flatnonzero(may_be & ~reference), side)
-        growing = GroundReferences(around, reference, over, lambda d: self._within(d, self.reference_distance), workers)
+        growing = GroundReferences(around, reference, over, lambda d: np.abs(d) <= self.reference_distance, workers)
         status = grow(growing, self.max_rounds, lambda share, step: progress(0.3 + 0.4 * share, step), trace)
         reference = growing.ground
 
@@ -271,14 +267,10 @@ class PPDF(Filter):
         return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)
 
 
+@jax.jit
 def _draws(key: jax.Array) -> jax.Array:
     """f32[:data:`HYPOTHESES`, 3], 0 to 1."""
     return jax.random.uniform(key, (HYPOTHESES, 3), jnp.float32)
-
-
-@jax.jit
-def _default_draws() -> jax.Array:
-    return _draws(jax.random.key(0))
 
 
 @passed.register(PPDF)

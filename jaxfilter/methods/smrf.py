@@ -127,9 +127,8 @@ class SMRF(GridFilter):
     def _terrain(self, prepared: CellDrops, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts = prepared
-        terrain, objects = _span_membrane(
-            surface, steepest, bare, cells, slope
-        )  # as in prepare(), so that it is compiled once
+        # the same program as in prepare(), which is compiled once
+        terrain, objects = _span_membrane(surface, steepest, bare, cells, slope)
         return terrain._replace(counts={**counts, "object_cells": objects})
 
     def _deciding(self, prepared: CellDrops, sets: Sequence[Self]) -> list[Any]:

@@ -69,8 +69,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
 def _counts(values: np.ndarray | None) -> dict[int, int] | None:
     if values is None:
         return None
-    found, counts = np.unique(values, return_counts=True)
-    return dict(zip(found.tolist(), counts.tolist(), strict=True))
+    return dict(zip(*(part.tolist() for part in np.unique(values, return_counts=True)), strict=True))
 
 
 def _echo_counts(cloud: PointCloud) -> dict[str, int] | None:
@@ -78,11 +77,10 @@ def _echo_counts(cloud: PointCloud) -> dict[str, int] | None:
     if number is None or total is None:
         return None
     several = total > 1
-    kinds = {
-        "only": (total == 1) & (number == 1),
-        "first": several & (number == 1),
-        "intermediate": several & (number > 1) & (number < total),
-        "last": several & (number == total),
+    counts = {
+        "only": int(((total == 1) & (number == 1)).sum()),
+        "first": int((several & (number == 1)).sum()),
+        "intermediate": int((several & (number > 1) & (number < total)).sum()),
+        "last": int((several & (number == total)).sum()),
     }
-    counts = {name: int(mask.sum()) for name, mask in kinds.items()}
     return {**counts, "odd": len(cloud) - sum(counts.values())}

@@ -53,9 +53,7 @@ REASONS = (
     "doubtful points",
 )
 """Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
-SUSPECT = np.dtype(
-    [("cell", np.int32, 2), ("chance", np.float32), ("error", np.float32), ("reason", np.int8), ("filled", bool)]
-)
+SUSPECT = np.dtype([("cell", "i4", 2), ("chance", "f4"), ("error", "f4"), ("reason", "i1"), ("filled", "?")])
 """A cell where the terrain model may be wrong: column and row from the zero of the coordinates; the chance that it is off by more
 than half a metre; the expected error, metres; the place in :data:`REASONS`; whether it holds points."""
 
@@ -207,20 +205,17 @@ def _find_cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np
     cell. It touches the outline, reaches no further than :data:`CUT_REACH` into the data, and the surface falls along its border
     inside the data. ``inner``: metres to the outline.
     """
+    from ..engines.grid.shapes import segments  # imports Numba
+
     strip = filled & (inner <= CUT_REACH + SIDE)
-    number = np.cumsum(strip).reshape(strip.shape) - 1
-    wall, links = np.zeros(strip.shape, bool), []
-    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
-        both = strip[one] & strip[other]
-        level = both & (np.abs(surface.low[one] - surface.low[other]) < STEP * SIDE)
-        links.append((number[one][level], number[other][level]))
-        wall[one] |= both & ~level
-        wall[other] |= both & ~level
-    out = np.zeros(strip.shape)
+    out, wall = np.zeros(strip.shape), np.zeros(strip.shape, bool)
     if not strip.any():
         return out
-    ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
-    segment = groups(ends, others, int(strip.sum()))
+    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        upright = strip[one] & strip[other] & (np.abs(surface.low[one] - surface.low[other]) >= STEP * SIDE)
+        wall[one] |= upright
+        wall[other] |= upright
+    segment = segments(np.where(strip, surface.low, np.nan), STEP * SIDE, 1)[0][strip]
     fall = (surface.low - scipy.ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
     wall, inner = wall[strip], inner[strip]
     cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)

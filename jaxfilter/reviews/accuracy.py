@@ -104,9 +104,7 @@ def accuracy_statement(
     km2 = cells * square / 1e6
     doubt = _sum_doubt(collection, inner)
     if doubt is None:
-        notes.append(
-            "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
-        )
+        notes.append("files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it")
     facts: dict[str, Any] = {
         "checkpoints": points,
         "labels": {
@@ -153,10 +151,8 @@ def _compare(path: Path, model: Raster, collection: Collection, notes: list[str]
     z, inside = _sample(model, xyz[:, :2])
     used = np.isfinite(z - xyz[:, 2])
     outside, unknown = ~inside, inside & ~used
-    for which, words in (
-        (outside, "lie outside of the model"),
-        (unknown, "lie where the model has no height, or have none"),
-    ):
+    where = {"lie outside of the model": outside, "lie where the model has no height, or have none": unknown}
+    for words, which in where.items():
         if which.any():
             lines = ", ".join(map(str, np.flatnonzero(which) + 2))
             notes.append(f"{path.name}: {which.sum()} check points {words}, and do not count: lines {lines}")
@@ -209,9 +205,7 @@ def _check_datum(path: Path, rows: Any, model: Raster, collection: Collection, n
     known = vertical(crs)
     for text in stated:
         if known is None:
-            notes.append(
-                f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
-            )
+            notes.append(f"the model states no vertical datum: that of check points, {text}, is taken to be the same")
         elif (datum := _name_datum(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
             raise InputError(
                 f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "

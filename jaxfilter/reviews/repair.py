@@ -68,9 +68,7 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     True
     """
     if result.run is None:
-        raise InputError(
-            "result: was put together by hand, so its points are not known: pass what a filter has returned"
-        )
+        raise InputError("result: was put together by hand, so its points are unknown: pass what a filter has returned")
     cloud = result.run.cloud
     verdicts, _ = read_verdicts(places, cloud.crs, extent_of(cloud))
     filter_: Any = result.run.filter

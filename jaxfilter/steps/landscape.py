@@ -52,11 +52,8 @@ class Landscape:
 
     def at(self, xyz: np.ndarray) -> np.ndarray:
         """f32[n]: at points f32[n, 3], local metres."""
-
-        def sample(chunk: np.ndarray) -> tuple[jax.Array]:
-            return (_at_points(self.slope, chunk, self.cells.grid, np.int32(self.block)),)
-
-        return hold_against(xyz, sample)[0]
+        block = np.int32(self.block)
+        return hold_against(xyz, lambda chunk: (_at_points(self.slope, chunk, self.cells.grid, block),))[0]
 
 
 @functools.partial(jax.jit, static_argnames=("block", "reach"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..engines.plane_sums import slopes_by_sums
+
 TRANSLATIONS = ("lowest", "none")
 """Where the plane is moved, without turning: down to the lowest seed of the neighbourhood, or nowhere."""
 _DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
@@ -40,9 +42,9 @@ def over_local_planes(xyz: np.ndarray, k: int, translation: str = "lowest", work
         xx, xy, yy, xz, yz = ((u * v).sum(axis=1) for u, v in ((x, x), (x, y), (y, y), (x, z), (y, z)))
         xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
         xz, yz = xz - sx * sz / count, yz - sy * sz / count
-        determinant = xx * yy - xy * xy
+        along_x, along_y, determinant = slopes_by_sums(xx, xy, yy, xz, yz)
         divisor = np.where((count >= 3) & (determinant > _DEGENERATE * (xx + yy) ** 2), determinant, np.inf)
-        a, b = (yy * xz - xy * yz) / divisor, (xx * yz - xy * xz) / divisor
+        a, b = along_x / divisor, along_y / divisor
         level = (sz - a * sx - b * sy) / count  # of the plane at the seed, above the seed
         if translation == "lowest":
             residual = z - level[:, None] - a[:, None] * x - b[:, None] * y

@@ -151,13 +151,10 @@ class Segments:
         """
         from ..engines.grid.shapes import banks, segments
 
-        part, count = segments(
-            np.where(objects, self.z, np.float32(np.nan)), np.float32(2 * self.roofs.step), self.least
-        )
-        steepest = np.float32(np.sqrt(8) * self.cell)
-        cells, even, falling, sloping = banks(
-            part, count, self.z, np.float32(BANK), steepest, FURTHER, np.float32(EVEN)
-        )
+        z = np.where(objects, self.z, np.float32(np.nan))
+        part, count = segments(z, np.float32(2 * self.roofs.step), self.least)
+        limits = np.float32(BANK), np.float32(np.sqrt(8) * self.cell), FURTHER, np.float32(EVEN)
+        cells, even, falling, sloping = banks(part, count, self.z, *limits)
         return ((2 * even >= cells) & (sloping >= BANKS * falling) & (falling > 0))[part]
 
 

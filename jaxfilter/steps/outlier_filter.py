@@ -18,8 +18,9 @@ class OutlierFilter(Filter):
     low_clusters: bool = static("clusters of low points are kept out of the seeds", default=True, choices=(True, False))
 
     def outliers(self, points: Points, workers: int | None) -> Outliers:
-        """The points that must not be seeds."""
-        return bar_outliers(points, clusters=self.low_clusters, workers=workers)
+        """The points that must not be seeds; fields with the name of a limit of :func:`bar_outliers` are that limit."""
+        own = {name: getattr(self, name) for name in ("radius", "min_neighbours", "neighbours") if hasattr(self, name)}
+        return bar_outliers(points, clusters=self.low_clusters, **own, workers=workers)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,15 +33,6 @@ class OutlierRadius(OutlierFilter):
     min_neighbours: int = static(
         "a point is no seed if it has fewer neighbours than this within the radius", "n >= 1 and <= 4096", default=10
     )
-
-    def outliers(self, points: Points, workers: int | None) -> Outliers:
-        return bar_outliers(
-            points,
-            clusters=self.low_clusters,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            workers=workers,
-        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

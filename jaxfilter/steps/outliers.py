@@ -268,8 +268,7 @@ def _surroundings(
     outside = np.append(lowest, np.float32(np.inf)).astype(np.float64)
     outside[suspect] = np.inf
     y, x = (i[bottom][:, None] for i in (cells.row, cells.column))
-    line = np.full(len(bottom), np.inf)
-    least = np.full(len(bottom), np.inf)
+    line, least = np.full((2, len(bottom)), np.inf)
     for angle in np.arange(8) * (np.pi / 8):
         dx = np.rint(np.arange(1, steps + 1) * np.cos(angle)).astype(np.int64)
         dy = np.rint(np.arange(1, steps + 1) * np.sin(angle)).astype(np.int64)
@@ -367,9 +366,8 @@ def pits(xyz: np.ndarray, cells: Cells, depth: float, largest: float) -> np.ndar
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disk = i * i + j * j <= reach * reach
     high = scipy.ndimage.grey_dilation(np.where(seen, z, -np.inf), footprint=disk, mode="constant", cval=-np.inf)
-    closed = scipy.ndimage.grey_erosion(
-        np.where(np.isfinite(high), high, np.inf), footprint=disk, mode="constant", cval=np.inf
-    )
+    high[np.isinf(high)] = np.inf
+    closed = scipy.ndimage.grey_erosion(high, footprint=disk, mode="constant", cval=np.inf)
     part, _ = scipy.ndimage.label(seen & (closed - z > depth), np.ones((3, 3)))
     small = np.bincount(part.ravel()) * side**2 <= largest
     small[0] = False

@@ -41,9 +41,8 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
     noise = np.zeros(s, bool)
     long_facet = np.flatnonzero(square.max(axis=1) > long_edge**2)
     noise[facet[long_facet][z[long_facet] == z[long_facet].max(axis=1, keepdims=True)]] = True
-    separates = noise[facet].any(axis=1) | (
-        (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
-    )
+    cut = (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
+    separates = noise[facet].any(axis=1) | cut
     row, side = np.nonzero((beside >= 0) & ~separates[beside] & ~separates[:, None])
     cluster = groups(row, beside[row, side], len(facet))
     cluster[separates] = -1

@@ -68,7 +68,9 @@ def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray
 
     Cells at the upper edges may reach beyond the cloud. Of equally low points the westernmost is taken.
     """
-    return _lowest_rows(points.xyz, grid, barred)
+    z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
+    _, first, found = lowest_points(points.xyz, grid.flat(points.xyz), z, grid.nx * grid.ny)
+    return np.sort(found[first[first < len(found)]])
 
 
 def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np.ndarray) -> np.ndarray:
@@ -77,13 +79,7 @@ def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np
     ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the
     westernmost is taken.
     """
-    return _lowest_rows(points.xyz, cells.grid, barred | ~look_up(points.xyz, cells, chosen)[0])
-
-
-def _lowest_rows(xyz: np.ndarray, grid: Grid, barred: np.ndarray) -> np.ndarray:
-    z = np.where(barred, np.float32(np.inf), xyz[:, 2])
-    _, first, found = lowest_points(xyz, grid.flat(xyz), z, grid.nx * grid.ny)
-    return np.sort(found[first[first < len(found)]])
+    return lowest_on_grid(points, cells.grid, barred | ~look_up(points.xyz, cells, chosen)[0])
 
 
 def lowest_seeds(points: Points, grid: Grid, seed: np.ndarray, counted: np.ndarray) -> np.ndarray:

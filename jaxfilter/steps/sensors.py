@@ -66,7 +66,9 @@ class SensorFacts(NamedTuple):
         several = number >= 4
         open_ = float((np.maximum.reduceat(gap, start)[several] > _GAP).mean()) if several.any() else 1.0
         low = z - np.repeat(z[start], number) < _SHEET + _SIDE * spacing
-        thickness = _thickness(xyz[order[low]].astype(np.float64), cells[order[low]])
+        spread = spreads(xyz[order[low]].astype(np.float64), cells[order[low]])
+        spread = spread[np.isfinite(spread)]
+        thickness = round(float(np.percentile(spread, 25)), 4) if len(spread) else 0.0
         echoes = points.cloud.number_of_returns
         if len(count) >= 16 and (count.astype(float) ** 2).mean() / count.mean() ** 2 > _CROWDED:
             kind = MOBILE
@@ -81,13 +83,6 @@ def _groups(xyz: np.ndarray, side: float) -> np.ndarray:
     """i64[m]: the square, of this side, of each point."""
     i, j = np.floor(xyz[:, :2].astype(np.float64) / side).astype(np.int64).T
     return (i << 32) + j
-
-
-def _thickness(xyz: np.ndarray, cells: np.ndarray) -> float:
-    """Lower quartile of standard deviations from the planes of cells, which are sorted, with at least six points."""
-    spread = spreads(xyz, cells)
-    spread = spread[np.isfinite(spread)]
-    return round(float(np.percentile(spread, 25)), 4) if len(spread) else 0.0
 
 
 def spreads(xyz: np.ndarray, cells: np.ndarray) -> np.ndarray:

@@ -46,11 +46,6 @@ class Cells:
     valid: np.ndarray | jax.Array
     grid: Grid
 
-    @property
-    def frame(self) -> jax.Array:
-        """f32[3], x and y of the lower left corner and side of a cell, metres."""
-        return jnp.stack([self.grid.x0, self.grid.y0, self.grid.cell])
-
     def checked(self) -> Cells:
         """The same cells; those outside the extent, and those whose elevation is NaN or infinite, count as empty.
 

@@ -31,11 +31,6 @@ _BYTES = 250
 """About so many of memory per point and growth."""
 
 
-def facet_reach(cell: float) -> float:
-    """Metres: the half diagonal of a cell and its eight neighbours, how far facets between one seed per cell reach."""
-    return 1.5 * math.sqrt(2.0) * cell
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TinFilter(OutlierFilter):
     """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.
@@ -130,11 +125,7 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
         return spread
 
     def in_any_sheet(nodes: np.ndarray) -> np.ndarray:
-        if one_sheet:
-            return nodes[: len(points)]
-        spread = np.zeros(len(points), bool)
-        spread[row[nodes[order]]] = True
-        return spread
+        return of_points(nodes) if one_sheet else np.bincount(row, nodes[order], len(points)) > 0
 
     names = ("ground", "height", "slope", "angle", "elevation", "margin", "decision")
     found: dict[str, Any] = {name: of_points(getattr(out, name)) for name in names}
@@ -188,10 +179,8 @@ def _ground_each(
     def grow_set(job: tuple[int, int]) -> np.ndarray:
         first, number = job
         read, network, other, tin = start(first)
-        if (
-            len(group_equal(values_of([sets[first], sets[number]], read))) > 1
-        ):  # more was read than in the first set of all
-            return grow_set((number, number))
+        if len(group_equal(values_of([sets[first], sets[number]], read))) > 1:
+            return grow_set((number, number))  # more was read than in the first set of all
         growth = dataclasses.replace(sets[number].growth(network), kept=())
         same = (growth.border_follows, growth.vertices) == (other.border_follows, other.vertices)
         with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:

@@ -87,12 +87,8 @@ def waters(
     box = tuple(slice(max(first - 3 * RIM_CELLS, 0), last + 3 * RIM_CELLS) for first, last in ends)
     body, core, apart = body[box], core[box], np.zeros(z.shape, bool)
     wet = scipy.ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0)  # without crumbs of the shore
-    near = (
-        scipy.ndimage.binary_closing(np.pad(wet, RIM_CELLS), iterations=RIM_CELLS)[
-            RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS
-        ]
-        & objects[box]
-    )
+    closed = scipy.ndimage.binary_closing(np.pad(wet, RIM_CELLS), iterations=RIM_CELLS)
+    near = closed[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS] & objects[box]
     level[box] = np.where(wet | near, _mean(z[box], wet, 2 * RIM_CELLS + 1), level[box])
     apart[box] = near | lowest(wet | near, 3)
     return level, apart
@@ -105,10 +101,8 @@ def _range(z: np.ndarray) -> np.ndarray:
 
 def _spread(z: np.ndarray, name: np.ndarray, most: int) -> np.ndarray:
     """f64[1 + most]: metres within which nine tenths of the values f32[n] of each name i32[n] lie, infinite without any."""
-    order, out = (
-        np.argsort(name.astype(np.uint16) if most < 1 << 16 else name, kind="stable"),
-        np.full(most + 1, np.inf),
-    )
+    order = np.argsort(name.astype(np.uint16) if most < 1 << 16 else name, kind="stable")
+    out = np.full(most + 1, np.inf)
     values, ends = z[order], np.cumsum(np.bincount(name, minlength=most + 1))
     for number in range(1, most + 1):
         some = values[ends[number - 1] : ends[number]]

@@ -39,7 +39,6 @@ class Contours(Layer):
 
     @property
     def cells(self) -> Layer:
-        """The terrain model."""
         return Dtm()
 
 

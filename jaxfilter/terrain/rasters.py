@@ -75,7 +75,6 @@ class Dsm(Layer):
         return side + 2 * max(self.gap, self.radius or _CELLS * side)
 
     def values(self, site: Site) -> np.ndarray:
-        """Heights. Raises: InputError if no point is ground."""
         cloud, out = site.cloud, np.full(site.grid.shape, -np.inf)
         xyz, height = self._echoes(site)
         for level in self.levels:
@@ -125,16 +124,13 @@ class Chm(Dsm):
 
     @property
     def parts(self) -> tuple[Layer, ...]:
-        """The surface and the terrain."""
         return Dtm(), Dsm(self.levels, self.gap, self.radius)
 
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
-        """Heights."""
         terrain, surface = (known[part] for part in self.parts)
         return np.maximum(surface - terrain, np.float32(0))
 
     def values(self, site: Site) -> np.ndarray:
-        """Heights. Raises: InputError for too few ground points."""
         return Layer.values(self, site)
 
 
@@ -155,11 +151,9 @@ class Hillshade(Layer):
 
     @property
     def parts(self) -> tuple[Layer, ...]:
-        """The terrain."""
         return (Dtm(),)
 
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
-        """Whole numbers."""
         return self.shade(known[Dtm()], grid.cell, units.z / units.xy)
 
     def shade(self, z: np.ndarray, cell: float, z_factor: float) -> np.ndarray:
@@ -211,7 +205,6 @@ class Count(Layer):
     NAME, TITLE, UNITS, STYLE, SURFACE = "count", "number of ground points", "points", "cividis", False
 
     def values(self, site: Site) -> np.ndarray:
-        """Whole numbers."""
         grid = site.grid
         columns, rows = (place[site.ground] for place in places_of(site.cloud, grid))
         own = (columns >= 0) & (columns < grid.columns) & (rows >= 0) & (rows < grid.rows)
@@ -231,7 +224,6 @@ class Density(Layer):
     NAME, TITLE, UNITS, STYLE, SURFACE = "density", "density of ground points", "points per m2", "cividis", False
 
     def values(self, site: Site) -> np.ndarray:
-        """Points per m2."""
         return (site.of(Count()) / site.side**2).astype(np.float32)
 
 
@@ -260,7 +252,6 @@ class Voids(Layer):
         return side + self.distance
 
     def values(self, site: Site) -> np.ndarray:
-        """0 or 1."""
         out, ground = np.ones(site.grid.shape, np.float32), site.cloud.xyz[site.ground]
         if len(ground):
             nearest = nearest_point(ground, site.workers, self.distance)

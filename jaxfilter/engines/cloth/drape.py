@@ -34,7 +34,7 @@ import numpy as np
 import scipy
 
 from ..compiled import compiled
-from ..neighbours import groups
+from ..grid.shapes import segments
 
 BLOCK_LINES = 13
 """Lines that are moved at a time: more than a spring reaches (12 lines and 2 places)."""
@@ -91,12 +91,8 @@ def _turn(height, before, spring, surface, ends, block, numbers, finish, begin):
     moved = np.int32(0)
     for line in range(block * BLOCK_LINES, min(block * BLOCK_LINES + BLOCK_LINES, len(height))):
         first, last = ends[line]
-        z, old, move, floor = (
-            height[line, first:last],
-            before[line, first:last],
-            spring[line, first:last],
-            surface[line, first:last],
-        )
+        z, old = height[line, first:last], before[line, first:last]
+        move, floor = spring[line, first:last], surface[line, first:last]
         for i in range(last - first):
             free = move[i] > 0
             way = abs(z[i] - old[i])
@@ -210,17 +206,12 @@ def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.nd
     free = ~pinned
     label, _ = scipy.ndimage.label(free)
     open_ = free & (np.bincount(label.ravel()) > _GROUP)[label]
-    number = np.cumsum(open_).reshape(free.shape) - 1
     reached = np.zeros(free.shape, bool)
-    links = []
     for one, two in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         level = np.abs(limit[one] - limit[two]) < np.float32(max_step)
         reached[one] |= level & open_[one] & ~free[two]
         reached[two] |= level & open_[two] & ~free[one]
-        both = level & open_[one] & open_[two]
-        links.append((number[one][both], number[two][both]))
-    one_end, other_end = (np.concatenate([link[end] for link in links]) for end in (0, 1))
-    group = groups(one_end, other_end, int(open_.sum()))
-    joined = np.zeros(free.shape, bool)
-    joined[open_] = np.isin(group, group[reached[open_]])
-    return joined
+    group, count = segments(np.where(open_, limit, np.float32(np.nan)), np.float32(max_step), 1)
+    joined = np.zeros(count + 1, bool)
+    joined[group[reached]] = True
+    return joined[group]

@@ -65,10 +65,8 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
     def fill(axis: int, reverse: bool, filled: jax.Array, done: jax.Array) -> tuple[jax.Array, jax.Array]:
         size = z.shape[axis]
         place = lax.broadcasted_iota(jnp.int32, z.shape, axis)
-        if reverse:
-            source = running(jnp.minimum, jnp.where(known, place, size), axis, reverse=True)
-        else:
-            source = running(jnp.maximum, jnp.where(known, place, -1), axis)
+        pick, none = (jnp.minimum, size) if reverse else (jnp.maximum, -1)
+        source = running(pick, jnp.where(known, place, none), axis, reverse=reverse)
         found = (source >= 0) & (source < size)
         value = jnp.take_along_axis(z, jnp.clip(source, 0, size - 1), axis=axis)
         return jnp.where(~done & found, value, filled), done | found

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..compiled import compiled
+from .shapes import root
 
 _MET = 4  # basins that each one has met last, whose passes are remembered
 
@@ -158,26 +159,21 @@ def mergers(low, a, b, level, depth, most, z, basin, points):
         walled = edge >= len(a)
         at = np.float32(np.inf) if walled else level[edge]
         i, j = (edge - len(a), edge - len(a)) if walled else (a[edge], b[edge])
-        while parent[i] != i:
-            parent[i] = parent[parent[i]]
-            i = parent[i]
-        while parent[j] != j:
-            parent[j] = parent[parent[j]]
-            j = parent[j]
+        i, j = root(parent, i), root(parent, j)
         if (walled and i != edge - len(a)) or (not walled and i == j):
             continue
         if lowest[j] < lowest[i]:
             i, j = j, i
         for turn in range(1 if walled else 2):
-            root = i if turn == 0 else j
+            top = i if turn == 0 else j
             # what forms and merges at one level has no cells below it but those of its parts
-            if size[root] == 0 or not (walled or (at - lowest[root] >= depth and formed[root] < at)):
+            if size[top] == 0 or not (walled or (at - lowest[top] >= depth and formed[top] < at)):
                 continue
             if found == len(spill):
                 spill, held = np.concatenate((spill, np.empty_like(spill))), np.concatenate((held, np.empty_like(held)))
             spill[found], held[found] = at, 0
             for count in range(2):  # first how many points it holds
-                member = root
+                member = top
                 while member >= 0 and held[found] <= most:
                     cell = first[member]
                     while cell >= 0:
@@ -190,7 +186,7 @@ def mergers(low, a, b, level, depth, most, z, basin, points):
             if held[found] <= most:
                 found += 1
             else:
-                size[root] = 0
+                size[top] = 0
         if not walled:
             parent[j], formed[i] = i, at
             if size[i] > 0 and size[j] > 0 and size[i] + size[j] <= most:

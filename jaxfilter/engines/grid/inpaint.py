@@ -162,10 +162,10 @@ def _near(cells: tuple[_Pair, _Pair], colour: int, columns: int) -> tuple[tuple[
     return _around(there, 2 * colour - 1, columns)
 
 
-def _totals(holes: tuple[_Pair, _Pair], insides: tuple[_Pair, _Pair], columns: int) -> list[_Pair]:
-    """Springs at each hole, infinitely many elsewhere."""
+def _totals(holes: tuple[_Pair, _Pair], to: tuple[_Pair, _Pair], columns: int, other: float) -> list[_Pair]:
+    """Springs at each hole to cells of a kind; elsewhere so many as ``other``."""
     return [
-        _each(lambda hole, near: jnp.where(hole, _sum(near), jnp.inf), holes[colour], _near(insides, colour, columns))
+        _each(lambda hole, near: jnp.where(hole, _sum(near), other), holes[colour], _near(to, colour, columns))
         for colour in range(2)
     ]
 
@@ -183,9 +183,7 @@ def _forces(here: _Pair, there: _Pair, hole: _Pair, seen: tuple[Any, Any], side:
 def _first_level(holes: tuple[_Pair, _Pair], knowns: tuple[_Pair, _Pair], shape: tuple[int, int]) -> _Level:
     """The coarse level that is made of all four quarters."""
     columns, ((a, b), (c, d)) = shape[1], holes
-    fixed = [
-        _each(lambda hole, near: jnp.where(hole, _sum(near), 0), holes[k], _near(knowns, k, columns)) for k in range(2)
-    ]
+    fixed = _totals(holes, knowns, columns, 0)
     a, b, c, d = (_with_border(hole.astype(jnp.float32), columns) for hole in (a, b, c, d))
     right = (_at(c, 0, columns) * _at(a, 1, columns) + _at(b, 0, columns) * _at(d, 1, columns)) / 2
     up = (_at(d, 0, columns) * _at(a, columns, columns) + _at(b, 0, columns) * _at(c, columns, columns)) / 2
@@ -337,10 +335,8 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     def at(border: _Pair) -> _Pair:
         return _each(lambda border: _at(border, 0, wide), border)
 
-    insides, knowns = (
-        quarters_of(inside),
-        quarters_of(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim))),
-    )
+    insides = quarters_of(inside)
+    knowns = quarters_of(known & inside.reshape(*inside.shape, *(1,) * (known.ndim - inside.ndim)))
     holes = jax.tree.map(lambda there, known: there & ~known, insides, knowns)
     heights = jax.tree.map(lambda known, z: jnp.where(known, z, 0), knowns, quarters_of(z))
     pooled = _sum(jax.tree.leaves(heights)), _sum(cells.astype(z.dtype) for cells in jax.tree.leaves(knowns))
@@ -350,7 +346,7 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     for factors in plan:
         levels[-1] = _Level(*settle(levels[-1][:3]), levels[-1].shape)
         levels.append(_coarser(levels[-1], factors))
-    black_hole, (black_total, red_total) = holes[0], _totals(holes, insides, wide)
+    black_hole, (black_total, red_total) = holes[0], _totals(holes, insides, wide, jnp.inf)
 
     def reds(black: _Pair, red: _Pair, force: _Pair | None = None) -> _Pair:
         """Where black cells, bordered, and forces hold the red ones."""
@@ -450,11 +446,8 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     tall, wide = _BLOCK if jax.default_backend() == "cpu" else z.shape
     down, across = -(-rows // tall), -(-columns // wide)
     margin = across * wide
-    squares = jnp.pad(
-        gap * gap,
-        ((0, down * tall - rows), (margin, 2 * margin - columns)),
-        constant_values=jnp.iinfo(jnp.int32).max // 2,
-    )
+    widths = (0, down * tall - rows), (margin, 2 * margin - columns)
+    squares = jnp.pad(gap * gap, widths, constant_values=jnp.iinfo(jnp.int32).max // 2)
     wanted = jnp.pad(inside, ((0, down * tall - rows), (0, across * wide - columns)))
 
     def search(block: jax.Array, found: jax.Array) -> jax.Array:

@@ -119,9 +119,9 @@ def _erode_strip(border: jax.Array, radius: jax.Array, reach: int, diamond: bool
     return lax.while_loop(lambda state: state[0] <= 2 * radius + 1, rows_of_one_level, start)[2]
 
 
-def _along(axis: int, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Where a slice begins that is shifted along one axis."""
-    return (step, jnp.int32(0)) if axis == 0 else (jnp.int32(0), step)
+def _along(axis: int, one: T, other: T) -> tuple[T, T]:
+    """Something for this axis, and another for the other one."""
+    return (one, other) if axis == 0 else (other, one)
 
 
 @takes(z=_REAL, length="int[]", longest=1, axis=(0, 1))
@@ -135,12 +135,11 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
     >>> morphology.run_minima(z, jnp.int32(2), longest=4, axis=1).tolist()
     [[2.0, 2.0, 3.0, 1.0, 1.0]]
     """
-    widths = [(0, 0), (0, 0)]
-    widths[axis] = (0, 2 ** int(math.log2(longest)))
+    widths = _along(axis, (0, 2 ** int(math.log2(longest))), (0, 0))
 
     def ahead(array: jax.Array, step: jax.Array) -> jax.Array:
         wide = jnp.pad(array, widths, constant_values=_beyond(array))
-        return lax.dynamic_slice(wide, _along(axis, step), array.shape)
+        return lax.dynamic_slice(wide, _along(axis, step, jnp.int32(0)), array.shape)
 
     def double(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         run, minima = state
@@ -152,10 +151,9 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
 
 def _erode_run(z: jax.Array, radius: jax.Array, reach: int, axis: int) -> jax.Array:
     """Lowest of the 2 * radius + 1 cells along one axis."""
-    widths = [(0, 0), (0, 0)]
-    widths[axis] = (reach, reach)
+    widths = _along(axis, (reach, reach), (0, 0))
     minima = run_minima(jnp.pad(z, widths, constant_values=_beyond(z)), 2 * radius + 1, 2 * reach + 1, axis)
-    return lax.dynamic_slice(minima, _along(axis, reach - radius), z.shape)
+    return lax.dynamic_slice(minima, _along(axis, reach - radius, jnp.int32(0)), z.shape)
 
 
 def _erode(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Array:

@@ -46,11 +46,7 @@ def corners(
 def bilinear(at: jax.Array, extent: jax.Array | np.ndarray, columns: int) -> Callable[[jax.Array], jax.Array]:
     """Interpolation between the nodes of a grid, once prepared for several grids.
 
-    Args:
-        at: f32[n, 2], column and row of every place, in cells between nodes; node (0, 0) lies at (0, 0). Places beyond the nodes
-            are moved to the border.
-        extent: i32[2], true number of rows and columns of nodes.
-        columns: padded number of columns.
+    Args: as for :func:`corners`.
 
     Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.
 

@@ -52,7 +52,8 @@ def draw(x, y, triangles, z, low, longest, out, known):
 
 
 @compiled
-def _root(parent, cell):
+def root(parent, cell):
+    """The cell that stands for a set: where the chain of parents ends, which gets shorter."""
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
         cell = parent[cell]
@@ -77,7 +78,7 @@ def segments(z, step, least):
                 else:
                     continue
                 if abs(z[row, column] - level) < step:
-                    a, b = _root(parent, cell), _root(parent, other)
+                    a, b = root(parent, cell), root(parent, other)
                     parent[max(a, b)] = min(a, b)
     size, count = np.zeros(rows * columns, np.int32), 0
     for cell in range(rows * columns):
@@ -199,12 +200,8 @@ def faces(segment, count, z, high, seen, whole, step, smooth, drop):
             found[0, name] += 1
             found[1, name] += whole[row, column]
             if inside == 9:
-                west, east, south, north = (
-                    z[row, column - 1],
-                    z[row, column + 1],
-                    z[row - 1, column],
-                    z[row + 1, column],
-                )
+                west, east = z[row, column - 1], z[row, column + 1]
+                south, north = z[row - 1, column], z[row + 1, column]
                 bent = min(abs(level - (west + east) / 2), abs(level - (south + north) / 2))
                 for side in (-1, 1):
                     across = (z[row - 1, column - side] + z[row + 1, column + side]) / 2

@@ -18,9 +18,8 @@ import numpy as np
 from ...core.arrays import operation, takes
 from ...core.result import Decision
 
-_FLAT_AREA = (
-    1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
-)
+_FLAT_AREA = 1e-6
+"""Square of twice the area over the fourth power of the longest edge, below which a facet has no plane."""
 
 Vector = list[jax.Array]
 """Three components. Kernels are written in these, which compile to one loop over all points; reductions over an axis of

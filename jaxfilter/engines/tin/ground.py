@@ -230,10 +230,8 @@ class GroundTin(GroundNodes):
     def _test(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
         """Test located nodes against their facets, and keep the tested quantities."""
         facet, mirror = self.tin.where[nodes], self.growth.mirror
-        tested = (
-            "accepted",
-            *(self.growth.kept or KEPT_QUANTITIES),
-        )  # without any the same program runs, since others round differently
+        # without any that are kept the same program runs, since others round differently
+        tested = ("accepted", *(self.growth.kept or KEPT_QUANTITIES))
         further = ("level",) * (mirror is not None) + ("height",) * self.growth.one_per_facet
         verdict = self._judge(nodes, facet, (*tested, *further))
         if mirror is not None:
@@ -305,11 +303,8 @@ class GroundTin(GroundNodes):
         def given(rows: slice) -> tuple[np.ndarray, ...]:
             return self.net.xyz[nodes[steep[rows]]], np.take(self.tin.xyz, corner[rows], axis=0)
 
-        def images(xyz: np.ndarray, corners: np.ndarray) -> Any:
-            return mirrored(xyz, corners, not mirror.nearest)
-
         with on_processor():
-            image = in_chunks(images, given, len(steep), _BATCH)
+            image = in_chunks(partial(mirrored, about_highest=not mirror.nearest), given, len(steep), _BATCH)
         there = self.tin.walk(image, facet[steep])
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
@@ -334,9 +329,7 @@ class GroundTin(GroundNodes):
             return of_nodes(self.rule, nodes[rows]), self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         with on_processor():
-            tested = partial(judge, names=names)
-            found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
-        return found
+            return in_chunks(partial(judge, names=names), given, len(nodes), _BATCH, axis=-1)  # type: ignore[no-any-return]
 
     def finish(self, nodes: np.ndarray | None = None) -> None:
         """Heights and slopes of nodes of ``todo``, i64, over the surface as it is; None = of all points."""

@@ -9,9 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import shapely
 
-from ...core.errors import InputError
 from ...core.points import morton
-from .triangulation import Tin
+from .triangulation import triangulated
 
 
 class Linear:
@@ -27,11 +26,8 @@ class Linear:
         code = morton(xyz)
         self._order = np.argsort(code, kind="stable")  # points of a cloud with an anchor are in another order
         self._code = code[self._order]
-        try:
-            with ThreadPoolExecutor(self._threads) as pool:
-                self._tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, self._threads)
-        except ValueError as error:  # the corner of a cloud may be farther
-            raise InputError(f"ground points: {error}, or leave out stray ones") from error
+        self._tin = triangulated(xyz, workers)
+        self._tin.workers = self._threads
         self._inside = inside_hull(xyz)
         self._xy, self._z = xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 

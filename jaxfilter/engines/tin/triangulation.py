@@ -41,7 +41,7 @@ def lattice(xy: np.ndarray) -> np.ndarray:
                 steps[part] = np.rint(xy[part, :2].astype(np.float64) / QUANTUM)
         except FloatingPointError as error:
             far = f"{2**31 * QUANTUM / 1000:.0f} km from the corner of the cloud"
-            raise ValueError(f"positions more than {far}: move them nearer") from error
+            raise ValueError(f"positions more than {far}: move them nearer, or leave out stray ones") from error
     return steps
 
 
@@ -75,7 +75,8 @@ class Tin:
         self._flips, self._walks = flips, walks
         self.xyz, self.sheet, self.xy, self.pool, self.workers = xyz, sheet, lattice(xyz), pool, workers
         if max(int(self.xy[:, axis].max()) - int(self.xy[:, axis].min()) for axis in range(2)) > SPAN:
-            raise ValueError(f"nodes more than {SPAN * QUANTUM / 1000:.0f} km apart: triangulate them in parts")
+            far = f"{SPAN * QUANTUM / 1000:.0f} km apart"
+            raise ValueError(f"nodes more than {far}: triangulate them in parts, or leave out stray ones")
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
         self.now, self._room = 0, dict[str, np.ndarray]()
