@@ -687,13 +687,13 @@ def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(metre,
 
 
 def test_data_of_few_points_are_one_tile_and_larger_ones_are_cut_where_they_are_dense():
-    """Two files of a square kilometre with 2 and 12 points per m2: only the second is cut."""
+    """Two files of a square kilometre with 2 and 22 points per m2: tiles are small in the second."""
     bounds, cut = np.array([[0.0, 0, 1000, 1000], [1000.0, 0, 2000, 1000]]), Cut(20.0, 10.0)
     assert plan_tiles(Where.from_files(bounds[:1], np.array([WHOLE])), cut).whole
-    plan = plan_tiles(Where.from_files(bounds, np.array([2_000_000, 12_000_000])), cut)
-    assert len(plan) == 3 and plan.points.max() <= TILE_POINTS and plan.times_read(14_000_000) < 1.1
-    west = plan.cores[plan.cores[:, 0] < 900]
-    assert len(west) == 1 and west[0, 2] >= 900
+    plan = plan_tiles(Where.from_files(bounds, np.array([2_000_000, 22_000_000])), cut)
+    assert len(plan) <= 6 and plan.points.max() <= TILE_POINTS and plan.times_read(24_000_000) < 1.15
+    area, middle = (plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1), plan.cores[:, [0, 2]].mean(axis=1)
+    assert area[middle < 1000].min() > 2 * area[middle > 1000].max()
 
 
 @pytest.mark.parametrize("apart, tiles", [(500.0, 1), (50_000.0, 2)])

@@ -150,7 +150,7 @@ def _own_minima(data: dict[str, Any]) -> Call:
 
     side, xyz = -(-data["side"] // 2), data["xyz"]
     grid = Grid(0.0, 0.0, 2.0, side, side)
-    return lambda: lowest_in_cells(grid.flat(xyz), xyz[:, 2], side * side, rows=False)
+    return lambda: lowest_in_cells(grid.flat(xyz), xyz[:, 2], side * side, rows=False)[0]
 
 
 def _numpy_minima(data: dict[str, Any]) -> Call:

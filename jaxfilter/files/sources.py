@@ -144,7 +144,7 @@ def squares_of(source: Source) -> Squares | None:
     with contextlib.suppress(InputError):
         file, side = _file_of(source), SQUARE / source.metre
         if isinstance(file, TextFile):
-            return _scattered(counted_squares([file.xyz[:, :2]], side), source)
+            return _scattered(counted_squares([file.xyz[:, :2]], side))
         some = first_points(file.header)
         parts = min(16, math.isqrt(len(some) // 4))
         if len(some) > _FEW:
@@ -152,14 +152,19 @@ def squares_of(source: Source) -> Squares | None:
             if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
                 return None
         every = (coordinates(points, file.header, 2) for points, _ in read_points(file.header, fields=CLOUD))
-        return _scattered(counted_squares(every, side), source)
+        return _scattered(counted_squares(every, side))
     return None
 
 
-def _scattered(found: Squares, source: Source) -> Squares | None:
-    """Squares that are a small part of the extent; None for others."""
-    x0, y0, x1, y1 = np.array(source.bounds) * source.metre
-    return None if (x1 - x0) * (y1 - y0) <= SCATTERED * len(found[0]) * SQUARE**2 else found
+def _scattered(found: Squares) -> Squares | None:
+    """Squares that are a small part of their extent, also those of them with four points or more, which are no stray points; None
+    for others."""
+    square, count = found
+    for some in (square, square[count > 3]):
+        area = math.prod((np.ptp(some, axis=0) + 1).tolist()) if len(some) else 0
+        if area <= SCATTERED * len(some):
+            return None
+    return found
 
 
 def counted_squares(parts: Iterable[np.ndarray], side: float) -> Squares:
