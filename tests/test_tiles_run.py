@@ -281,7 +281,7 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     os.truncate(kept[0], 100)
     kept[1].write_bytes(kept[1].read_bytes()[:-30] + bytes(30))
     kept[2].unlink()
-    for path, share in zip(kept[3:], (0.2, 0.4, 0.6), strict=False):
+    for path, share in zip(kept[3:], (0.3, 0.6, 0.9), strict=False):
         data = bytearray(path.read_bytes())
         data[int(share * len(data))] ^= 1
         path.write_bytes(data)
@@ -290,23 +290,55 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     assert damaged <= {number for name, number in again.calls if name == "do_tile"}
 
 
-@pytest.mark.parametrize("how", ["empty", "cut", "zeros", "another number", "other JSON"])
-def test_damage_of_what_a_run_knows_of_itself_leads_to_no_wrong_output(files, done, tmp_path, how):
-    out, executor = tmp_path / "out", Here()
-    shutil.copytree(done[0], out)
-    path = out / KEPT / "run.json"
-    data, before = path.read_bytes(), contents(out)
-    damaged = {
+REFUSED = ("empty", "cut", "something else", "noise", "zeros", "another number", "other JSON")
+"""Damages of run.json that nothing makes up for."""
+
+
+def damage(path, how, rng):
+    """Damage a file, whose time stays."""
+    if path.is_dir():
+        return shutil.rmtree(path)
+    status, data = path.stat(), path.read_bytes()
+    if how in ("missing", "a folder"):
+        path.unlink()
+        return path.mkdir() if how == "a folder" else None
+    third = len(data) // 3
+    at = int(rng.integers(1, len(data) - third))
+    changed = {
         "empty": b"",
-        "cut": data[: len(data) // 2],
-        "zeros": data[:100] + bytes(100) + data[200:],
+        "cut": data[:at],
+        "longer": data + rng.bytes(5000),
+        "one bit": data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :],
+        "noise": data[:at] + rng.bytes(third) + data[at + third :],
+        "zeros": data[:at] + bytes(third) + data[at + third :],
+        "something else": b"this is something else\n" * 500,
         "another number": re.sub(rb'"halo": [\d.]+', b'"halo": 16.0', data),
         "other JSON": b'{"name": "something else"}',
     }
-    path.write_bytes(damaged[how])
-    with pytest.raises(jf.InputError, match=r"(run\.json: is damaged|begun with other).*pass overwrite=True to begin"):
-        run(files, out, executor, resume=True)
-    assert executor.calls == [] and contents(out) == before
+    path.write_bytes(changed[how])
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.mark.parametrize("what, how", [
+    *[("run.json", how) for how in REFUSED],
+    *[pytest.param("run.json", how, marks=pytest.mark.slow) for how in ("missing", "one bit", "longer", "a folder")],
+    *[pytest.param("report", how, marks=pytest.mark.slow) for how in ("missing", "something else")],
+])  # fmt: skip
+def test_damage_of_what_a_run_keeps_leads_to_no_wrong_output(files, done, tmp_path, what, how):
+    out, executor = tmp_path / "out", Here()
+    shutil.copytree(done[0], out)
+    place = {"run.json": f"{KEPT}/run.json", "report": "jaxfilter-run.json"}[what]
+    damage(out / place, how, np.random.default_rng(0))
+    before = contents(out)
+    try:
+        report = run(files, out, executor, resume=True)
+    except jf.JaxfilterError as error:
+        assert what == "run.json" and str(out) in str(error) and "pass overwrite=True to begin" in str(error)
+        assert how not in REFUSED or re.search("run.json: is damaged|begun with other", str(error))
+        assert executor.calls == [] and contents(out) == before
+    else:
+        assert what == "report" and report.complete and contents(out) == contents(done[0])
+        assert not any("made again" in remark for remark in report.remarks)
     assert run(files, out, overwrite=True).complete and contents(out) == contents(done[0])
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 

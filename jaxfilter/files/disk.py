@@ -135,7 +135,9 @@ def existing(path: Path) -> os.stat_result | None:
         except FileNotFoundError:
             return None
     if not stat.S_ISREG(status.st_mode):
-        raise OutputError(f"{path}: is a folder, pipe, device or socket, and only files are replaced; name another")
+        raise OutputError(
+            f"{path}: is a folder, pipe, device or socket, and only regular files are replaced; name another"
+        )
     return status
 
 
