@@ -41,7 +41,7 @@ from .tiles import Tile, read_tile
 TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
 _TOO_OFTEN = 3.0
-"""Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
+"""Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.5 times."""
 _WAIT = 0.25  # seconds between looks at the progress
 
 
