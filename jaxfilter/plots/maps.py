@@ -343,8 +343,10 @@ def footprints(
     known = np.isfinite(bounds).all(axis=1)
     x0, y0, x1, y1 = bounds[known].T
     corners = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1).reshape(-1, 4, 2)
-    drawn = PolyCollection(list(corners), edgecolors="black", linewidths=0.2, facecolors="0.7")
-    if values is not None:
+    drawn = PolyCollection(list(corners), edgecolors="black", linewidths=0.2)
+    if values is None:
+        drawn.set_facecolor("0.7")
+    else:
         drawn.set_array(np.ma.masked_invalid(values[known]))
         drawn.set_cmap("viridis")
         ax.figure.colorbar(drawn, ax=ax, label=label, shrink=0.7)

@@ -181,9 +181,10 @@ def plan_tiles(where: Where, cut: Cut, side: float | None = None) -> Plan:
         return _plan(where, cut, cut.boxes[:, 0], cut.boxes[:, 1])
     if side is not None:
         check_positive(" of metres", tile=side)
-        cores = _squares_of(where, cut, side)
+    if not len(where.points):
+        cores = np.zeros((0, 4))
     else:
-        cores = _halved(where, cut)
+        cores = _halved(where, cut) if side is None else _squares_of(where, cut, side)
     return _plan(where, cut, cores, _windows(cores, cut.halo / where.metre, cut.lattice / where.metre))
 
 
@@ -215,7 +216,9 @@ def _squares_of(where: Where, cut: Cut, side: float) -> np.ndarray:
     """f64[t, 4]: cores of one size, in rows. Raises: InputError for too many."""
     step = cut.lattice * max(1, math.ceil(side / cut.lattice - 1e-9)) / where.metre
     beyond = cut.beyond / where.metre
-    box = np.concatenate([where.low - beyond, where.high + beyond], axis=1)
+    low, high = where.low, where.high  # nothing is made beyond all of them
+    low, high = np.maximum(low - beyond, low.min(axis=0)), np.minimum(high + beyond, high.max(axis=0))
+    box = np.concatenate([low, high], axis=1)
     square = _covered(box, np.array([step, step]))[1]
     column, row = square[np.unique(square_keys(square), return_index=True)[1]].T
     return np.stack([column, row, column + 1, row + 1], axis=1) * step
@@ -224,8 +227,6 @@ def _squares_of(where: Where, cut: Cut, side: float) -> np.ndarray:
 def _halved(where: Where, cut: Cut) -> np.ndarray:
     """f64[t, 4]: cores that are cut where their points are too many, or scattered."""
     halo, lattice, beyond = (length / where.metre for length in (cut.halo, cut.lattice, cut.beyond))
-    if not len(where.points):
-        return np.zeros((0, 4))
     few, cores = where.counts.sum() <= WHOLE, []
     everything = np.append(where.low.min(axis=0), where.high.max(axis=0))
     parts = [(_windows(everything, 0.0, lattice), np.arange(len(where.points)))]
