@@ -78,9 +78,12 @@ def _fill(z: np.ndarray) -> np.ndarray:
 
 def new_figure(size: tuple[float, float]) -> Any:
     """An empty figure of this size in inches, without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    return Figure(figsize=size, dpi=200, layout="constrained")
+    figure = Figure(figsize=size, dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def axes_or_new(ax: Any, size: tuple[float, float]) -> Any:
@@ -343,10 +346,8 @@ def footprints(
     known = np.isfinite(bounds).all(axis=1)
     x0, y0, x1, y1 = bounds[known].T
     corners = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1).reshape(-1, 4, 2)
-    drawn = PolyCollection(list(corners), edgecolors="black", linewidths=0.2)
-    if values is None:
-        drawn.set_facecolor("0.7")
-    else:
+    drawn = PolyCollection(list(corners), edgecolors="black", linewidths=0.2, facecolors="0.7")
+    if values is not None:
         drawn.set_array(np.ma.masked_invalid(values[known]))
         drawn.set_cmap("viridis")
         ax.figure.colorbar(drawn, ax=ax, label=label, shrink=0.7)
