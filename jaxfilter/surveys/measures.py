@@ -152,7 +152,9 @@ class Sampler:
 
         def some(points: int) -> list[PointCloud]:
             entire = self.collection.count <= min(points, _SMALL) and self.where.fills
-            clouds = self.sample[0] if entire else self.clouds(points // _WINDOWS, points)
+            clouds = (
+                self.sample[0] if entire else self.clouds(min(points, self.collection.count // 4) // _WINDOWS, points)
+            )
             return [dataclasses.replace(cloud, whole=whole) for cloud in clouds]
 
         return dataclasses.replace(whole, **of_scene(filter_, some))

@@ -25,7 +25,7 @@ TILE_POINTS = 7_000_000
 MOST_READ = 2.5
 """Times that a tile may be read in parts instead of in one piece, halos included, so that each part has fewer points."""
 MOST_TILES, _MOST_SQUARES = 20_000_000, 1_000_000
-_NEAR = 1000.0
+_NEAR = 1500.0
 """Metres: points in a square of this side are not scattered."""
 _ROUNDED = 0.01
 """Units by which bounds in headers may be off."""
