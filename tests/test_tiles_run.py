@@ -739,11 +739,11 @@ def test_files_far_from_each_other_are_no_single_tile(apart, tiles):
 
 
 def test_tiles_of_a_corridor_that_runs_across_lie_along_it(tmp_path):
-    """2 km long and 40 m wide: a box around all of it would be 25 times as large. Labels are those of the whole cloud."""
+    """3 km long and 40 m wide: a box around all of it would be 37 times as large. Labels are those of the whole cloud."""
     rng = np.random.default_rng(5)
-    along, across = rng.uniform(0, 2000, 30_000), rng.uniform(0, 40, 30_000)
+    along, across = rng.uniform(0, 3000, 90_000), rng.uniform(0, 40, 90_000)
     xy = np.stack([along - across, along + across], axis=1) / math.sqrt(2)
-    xyz = np.column_stack([xy, 5 * np.sin(along / 80) + (rng.random(30_000) < 0.2) * 4]).round(2)
+    xyz = np.column_stack([xy, 5 * np.sin(along / 80) + (rng.random(90_000) < 0.2) * 4]).round(2)
     las_of(tmp_path / "in.las", xyz)
     pmf, metres = jf.PMF(max_window=10.0, low_clusters=False), jf.Reading(units="m")
     report = jf.ground(tmp_path / "in.las", tmp_path / "out.las", pmf, reading=metres)
