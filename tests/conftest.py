@@ -1,6 +1,5 @@
 """Where the ISPRS samples are, if they are anywhere; filters from other files."""
 
-import dataclasses
 import functools
 import os
 import runpy
@@ -47,20 +46,17 @@ def data():
 
 @pytest.fixture(scope="session")
 def sample(data):
-    """Reads an ISPRS sample by its number. Arrays of all samples get one shape, so that they share compilations.
+    """Reads an ISPRS sample by its number.
 
     ``own_corner``: its grids count from its lower left corner, as in the papers whose figures are compared with.
     """
     import jaxfilter as jf
-    from jaxfilter.core.cloud import Whole
 
     @functools.cache
     def read(number, own_corner=False):
         path = data / "isprs" / f"samp{number}.txt"
         cloud = jf.read(path)
-        if own_corner:
-            cloud = jf.read(path, anchor=cloud.coordinates()[:, :2].min(axis=0))
-        return dataclasses.replace(cloud, whole=Whole(width=480.0, height=480.0))
+        return jf.read(path, anchor=cloud.coordinates()[:, :2].min(axis=0)) if own_corner else cloud
 
     return read
 

@@ -56,7 +56,6 @@ def test_the_lowest_of_cells_are_those_of_a_sort(rng, n):
 
 def test_small_grids_have_two_shapes_and_padding_wastes_little_on_large_ones():
     assert {padded_shape((n, m)) for n in range(1, 513, 7) for m in range(1, 513, 7)} == {(256, 256), (512, 512)}
-    assert padded_shape((100, 50), least=(1, 300)) == (512, 512)
     assert [padded_length(n) for n in (1000, 1025, 2236, 5000)] == [1024, 1152, 2304, 5120]
     assert max(padded_length(n) / n for n in range(1024, 20000, 7)) <= 1.126
 

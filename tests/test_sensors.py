@@ -106,7 +106,7 @@ def test_pits_are_small_and_deep():
     hole, large, ditch, shallow = within(5, 5, 2, 2), within(15, 5, 6, 6), within(0, 20, 40, 1), within(5, 30, 2, 2)
     z = z - 1.0 * (hole | large | ditch) - 0.15 * shallow
     points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
-    cells = lowest_cells(points, 1.0, "test", corner=(0.0, 0.0), least=(1, 1))
+    cells = lowest_cells(points, 1.0, "test", corner=(0.0, 0.0))
     found = points.spread(pits(points.xyz, cells, 0.3, 12.0))
     np.testing.assert_array_equal(found, hole)
 

@@ -32,16 +32,12 @@ class Whole:
         lowest: elevation of the lowest point that a method lets count (CSF), file units; None likewise.
         rounds: of growth on each of STIN's grids, and with the suspected outliers; None likewise.
         scatter: metres, standard deviation of the vertices of OST from the plane of their neighbours; None likewise.
-        width, height: of the largest part, metres: arrays of all parts get the shape that this one needs, so that they share
-            compilations; 0 = each has its own.
     """
 
     spacing: float | None = None
     lowest: float | None = None
     rounds: tuple[int, ...] | None = None
     scatter: float | None = None
-    width: float = 0.0
-    height: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Iterator
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -113,13 +112,6 @@ class Points:
             if abs(spacing - before) < 0.01 * before:
                 break
         return spacing
-
-    def least_shape(self, cell: float, margin: int = 0) -> tuple[int, int]:
-        """Rows and columns of cells that arrays over the largest part of the whole scene have; (1, 1) for a scene of its own."""
-        whole = self.cloud.whole
-        if whole is None:
-            return 1, 1
-        return tuple(math.ceil(side / cell) + 1 + margin for side in (whole.height, whole.width))  # type: ignore[return-value]
 
     def near_core(self, distance: float) -> np.ndarray:
         """bool[m]: points at most so many metres, in x and in y, from the box in which labels are asked for."""

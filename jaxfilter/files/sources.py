@@ -148,7 +148,8 @@ def squares_of(source: Source) -> Squares | None:
         some = first_points(file.header)
         parts = min(16, math.isqrt(len(some) // 4))
         if len(some) > _FEW:
-            part = np.clip((some - [x0, y0]) * parts / [x1 - x0, y1 - y0], 0, parts - 1).astype(int)
+            extent = np.maximum([x1 - x0, y1 - y0], 1.0)
+            part = np.clip((some - [x0, y0]) * parts / extent, 0, parts - 1).astype(int)
             if len(np.unique(part @ [1, parts])) >= _FILLED * parts**2:
                 return None
         every = (coordinates(points, file.header, 2) for points, _ in read_points(file.header, fields=CLOUD))

@@ -75,7 +75,9 @@ class AGPTD(OutlierRadius, OutlierFate, PTD):
         default=0,
     )
     radius: float = 6.0
-    min_neighbours: int = 4
+    min_neighbours: int = static(
+        "a point is no seed if it has fewer neighbours than this within the radius", "num >= 1 and <= 4096", default=4
+    )
 
     BIBTEX: ClassVar[str] = bibtex("zheng2024improved")
     PRESETS: ClassVar[dict[str, Preset]] = {

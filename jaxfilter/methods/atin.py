@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.params import Preset, filter_params, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Adaptive, Growth, Network, Outliers
@@ -49,7 +49,9 @@ class ATIN(SlopeMirroring, PTD):
     'finished'
     """
 
-    max_angle: float = 25.0
+    max_angle: float = param(
+        "a point is ground only if its angle to the facet is at most this", "alpha > 0 and < 90 degrees", default=25.0
+    )
     thresholds: str = static(
         "the limits stay the same (constant), or each round derives some that are no larger from its triangulation (adaptive)",
         default="constant",

@@ -144,7 +144,7 @@ class CSF(Filter):
                 f"CSF(resolution={cell:g}, iterations={self.iterations}): so many steps of {rows:,} x {columns:,} particles for "
                 f"{len(points):,} points: use a coarser cloth or fewer steps"
             )
-        extent, shape = (rows, columns), padded_shape((rows, columns), points.least_shape(cell, 2 * MARGIN_NODES))
+        extent, shape = (rows, columns), padded_shape((rows, columns))
 
         progress(0.0, "outliers")
         barred = self._barred(points, workers)

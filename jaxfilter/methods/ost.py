@@ -417,7 +417,7 @@ class OST(Filter):
         """The lowest elevation per cell, without the points ``low``, bool[m]. Cells are centred on the lattice's nodes."""
         x, y = points.offset(self.cell)
         corner = x - self.cell / 2, y - self.cell / 2
-        return lowest_cells(points, self.cell, "OST(cell)", corner=corner, barred=low, least=(1, 1))
+        return lowest_cells(points, self.cell, "OST(cell)", corner=corner, barred=low)
 
     def drops(self, z: np.ndarray, inside: np.ndarray, cells: Cells) -> tuple[np.ndarray, Segments, Landscape]:
         """f32[rows, columns], the steepest drop of each cell, metres per cell (step 3); the segments; and the first landscape.

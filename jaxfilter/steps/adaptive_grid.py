@@ -85,7 +85,7 @@ def lowest_per_adaptive_cell(
     found, divided, steepest = [], [], []
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
-        shape = padded_shape(extent, points.least_shape(cell / 2**level))
+        shape = padded_shape(extent)
         grid = Grid(x0, y0, cell / 2**level, *extent[::-1])  # halves are exact, so that the levels are nested
         index = grid.single().flat(xyz, shape[1])
         slopes = cell_slopes(index, xyz, part, shape[0] * shape[1])

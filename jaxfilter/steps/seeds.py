@@ -47,7 +47,7 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
     apart = layout.width == layout.stride  # then windows are blocks, the last of which reach to the border
     grid = Grid(x0, y0, layout.block, *(layout.counts if apart else layout.blocks)[::-1]).single()
-    shape = padded_shape(grid.shape, points.least_shape(layout.block))
+    shape = padded_shape(grid.shape)
     lowest, first, found = lowest_points(points.xyz, grid.flat(points.xyz, shape[1]), z, shape[0] * shape[1])
     if not apart:
         pair, counts = (lowest.reshape(shape), first.reshape(shape)), np.array(layout.counts, np.int32)

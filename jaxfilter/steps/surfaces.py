@@ -71,20 +71,18 @@ def lowest_cells(
     *,
     corner: tuple[float, float] | None = None,
     barred: np.ndarray | None = None,
-    least: tuple[int, int] | None = None,
 ) -> Cells:
     """The lowest point in each square of ``cell`` metres, those that are ``barred`` (bool[m]) left out.
 
     Args:
         name: what an error calls the cell.
         corner: of the lattice, local metres; by default where squares of this size begin in the cloud.
-        least: rows and columns that the padded shape has room for at least; by default those of the largest part of a scene.
 
     Raises: InputError if there would be too many cells.
     """
     xyz = points.xyz
     grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_SURFACE_CELLS).single()
-    shape = padded_shape(grid.shape, least or points.least_shape(cell))
+    shape = padded_shape(grid.shape)
     z = xyz[:, 2]
     if barred is not None and barred.any():
         z = np.where(barred, np.float32(np.inf), z)

@@ -30,13 +30,13 @@ def padded_length(n: int) -> int:
     return -(-max(n, 1) // step) * step
 
 
-@takes(shape=0, least=0)
-def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
-    """:func:`padded_length` of rows and columns, or of ``least`` where that is more; up to 512 cells a side, a square.
+@takes(shape=0)
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """:func:`padded_length` of rows and columns; up to 512 cells a side, a square.
 
     So all grids of at most 512 x 512 cells have one of two shapes: to compile for another one takes longer than empty cells do.
     """
-    rows, columns = (padded_length(max(pair)) for pair in zip(shape, least, strict=True))
+    rows, columns = map(padded_length, shape)
     return (max(rows, columns),) * 2 if max(rows, columns) <= 512 else (rows, columns)
 
 
