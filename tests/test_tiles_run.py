@@ -213,7 +213,9 @@ def test_a_damaged_file_is_left_out_and_all_others_are_written(files, done, tmp_
     data[len(data) // 3 : len(data) // 2] = os.urandom(len(data) // 2 - len(data) // 3)
     (survey / "11.laz").write_bytes(data)
     (survey / "empty.laz").write_bytes(b"")
-    report = run(survey, tmp_path / "out")
+    report = run(survey, tmp_path / "out", executor := Here())
+    tries = collections.Counter(number for name, number in executor.calls if name == "do_tile")
+    assert set(tries.values()) == {1, 3}, "a file is left out only when the tile is tried for the last time"
     assert sorted(contents(tmp_path / "out")) == ["00.laz", "01.laz", "10.laz"]
     assert {one["file"].rpartition("/")[2] for one in report.failed} == {"11.laz", "empty.laz"}
     assert [one["file"] for one in report.left_out] == [str(survey / "11.laz")] and not report.set_aside
