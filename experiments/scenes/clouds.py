@@ -15,6 +15,7 @@ import jaxfilter as jf
 from experiments.defaults.clouds import Known, tile
 from experiments.report import Row
 from experiments.scenes import water
+from jaxfilter.surveys.tiles import part_of
 
 FILLED = jf.Interpolation(fill=True)
 """Every cell has a height, so that none is left out where ground was lost."""
@@ -35,6 +36,8 @@ SENSORS = {
 }
 """Layouts of each sensor, metres along a side, and pulses or pixels per m2."""
 ROOFS = ("flat", "gable", "levels", "sawtooth", "annex")
+WOODED = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.3, forest=0.95, penetration=0.15)
+"""A forest on slopes."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,6 +90,7 @@ def every(folder: Path) -> Iterator[Cloud]:
     yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=places, seed=(100, 101))
     shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
     yield from _each("dikes", dike, ERRORS, density=(0.5, 2.0, 8.0), **shapes)
+    yield from _each("sparse forests", sparse, ERRORS, density=(0.05, 0.1, 0.2, 0.5), share=(5, 10, 20), seed=(101, 102))
     yield from _each("water", crossed, WATER, scene=water.SCENES, density=SIZES)
     for path in sorted((folder / "isprs").glob("samp*.txt")):
         yield Cloud("samples", path.stem, partial(real, path), PLACES)
@@ -176,6 +180,18 @@ def hall(density: float, roof: str, place: str, seed: int) -> Site:
     z += rng.normal(0, 0.03, len(x))
     cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]))
     return Site("hall", "halls", cloud, ~objects, cloud.candidate, {"hall": built})
+
+
+def sparse(density: float, share: int, seed: int) -> Site:
+    """A square of 500 m of forest on slopes, of which so few last echoes are left, points per m2, and this percentage of them is
+    ground."""
+    made = jf.scenes.make(WOODED, size=500.0, density=2.0, seed=seed, swath=250.0)
+    rng, count = np.random.default_rng(seed), round(density * 500**2)
+    last, on_ground = made.return_number == made.number_of_returns, round(count * share / 100)
+    parts = [(last & made.truth, on_ground), (last & ~made.truth, count - on_ground)]
+    left = np.sort(np.concatenate([rng.choice(np.flatnonzero(of), many, replace=False) for of, many in parts]))
+    cloud = part_of(made.cloud, left)
+    return Site("forest", "sparse forests", cloud, made.truth[left], cloud.candidate)
 
 
 def dike(density: float, height: float, width: float, slope: float) -> Site:
