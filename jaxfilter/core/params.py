@@ -16,7 +16,7 @@ import operator
 import re
 import textwrap
 from collections import UserDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import Any, TypeGuard, TypeVar, dataclass_transform
 
@@ -54,14 +54,15 @@ def static(
     default: Any,
     cells: int | None = None,
     choices: tuple[Any, ...] | None = None,
+    names: Mapping[str, Any] | None = None,
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
-    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; a switch, whose default is True
-    or False, may be either."""
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; those with ``names`` are tuples of
+    keys of these; a switch, whose default is True or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
-    more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
+    more = {"cells": cells, "choices": choices, "names": names, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
 
 
@@ -145,6 +146,9 @@ def check_fields(params: Any) -> None:
                 why = "the field fixes shapes or a path through the code, and cannot be traced by jax.jit, vmap or grad"
                 raise ParameterError(f"{name}({f.name}=...): {why}; make one filter for each value")
             continue
+        if (names := meta.get("names")) is not None and value is not None:
+            object.__setattr__(params, f.name, _checked_names(f"{name}({f.name}={value!r})", value, names))
+            continue
         if np.ndim(value) > 0:
             wanted = f"a single value is needed, not an array of shape {np.shape(value)}"
             advice = "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
@@ -174,6 +178,16 @@ def check_fields(params: Any) -> None:
         most = meta.get("cells")
         if most is not None and value > most * params.cell:
             raise ParameterError(f"{given}: more than {most} cells of {params.cell:g} m; use a larger cell")
+
+
+def _checked_names(given: str, value: Any, names: Mapping[str, Any]) -> tuple[str, ...]:
+    """Each name once, in the order of ``names``. Raises: ParameterError."""
+    if not isinstance(value, (tuple, list)):
+        raise ParameterError(f"{given}: a tuple of names is needed, such as {tuple(names)[:1]}")
+    for one in value:
+        if one not in names:
+            raise ParameterError(f"{given}: {one!r} is none of {', '.join(map(repr, names))}")
+    return tuple(one for one in names if one in value)
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(param, static))

@@ -28,6 +28,8 @@ _NEAR = 48
 """So many points before and after one in canonical order are looked at before a KD-tree is asked."""
 
 
+LOW_DEPTH = 2.0
+"""Metres: few points around a low point are less than this above it, or lower."""
 SCATTER = 0.4
 """Metres: neighbours in a cluster of false echoes differ by more than this in elevation, in the median."""
 

@@ -9,12 +9,6 @@ import numpy as np
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.triangulation import Tin
 
-VEIL = 2.0
-"""Points that are no ground for each vertex, above which the ground is veiled."""
-EDGES_AROUND = 3
-"""Edges from a vertex to the farthest of those around it."""
-PASSES = 3
-"""Times that vertices are judged where plants hide the ground: beside high plants those that are less high do not stick out."""
 _AT_ONCE = 2**17
 """Vertices that are measured by one call."""
 
@@ -61,43 +55,32 @@ class Scatter(NamedTuple):
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
 
-def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndarray:
-    """f32[m]: metres by which vertices stick out more than those beside them, and more than ``least``, f32[m], metres, where
-    there are more than :data:`VEIL` points that are no ground for each vertex at most :data:`EDGES_AROUND` edges away. Elsewhere
-    zero or less."""
+def points_above(ground: GroundTin, among: np.ndarray, edges: int) -> np.ndarray:
+    """f32[m]: points that are no ground for each of the vertices up to so many edges away; zero where it is not asked for.
+
+    ``among``: bool[m], vertices of which it is asked. A point counts at the corner of its triangle that comes first.
+    """
     from ..engines.tin.rings import surroundings  # imports Numba
 
-    tin, over = ground.tin, scatter.residual - np.maximum(least, scatter.roughness)
-    nodes = np.flatnonzero(tin.vertex & (over > 0))
-    if len(nodes) == 0:
-        return over
-    others = ground.rest
-    tin.locate(others)
-    above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(over)).astype(np.float32)
-    means = np.empty(len(nodes), np.float32)
-    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, EDGES_AROUND, above, means)
-    over[nodes[means <= VEIL]] = 0
-    return over
+    tin, found = ground.tin, np.zeros(len(among), np.float32)
+    nodes = np.flatnonzero(tin.vertex & among)
+    if len(nodes):
+        others = ground.rest
+        tin.locate(others)
+        above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(found)).astype(np.float32)
+        means = np.empty(len(nodes), np.float32)
+        surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, above, means)
+        found[nodes] = means
+    return found
 
 
-def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, least: np.ndarray) -> int:
-    """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
-
-    Those are dropped that lie more than ``scene`` metres above it, and more than ``local`` times the root mean square among
-    the neighbours. Where plants hide the ground, those that are :func:`overgrown`: ``least``: f32[m], metres, infinite elsewhere.
-    They are judged :data:`PASSES` times, by the vertices that are left.
-    """
-    tin, dropped = ground.tin, 0
-    inner = np.ones(len(tin.xyz), bool)
+def drop_vertices(ground: GroundTin, over: np.ndarray) -> int:
+    """Drop the vertices that stick out by more than zero metres, but those on the hull; how many. ``over``: f32[m], their
+    margins."""
+    tin, inner = ground.tin, np.ones(len(over), bool)
     ghosts = tin.triangles[np.flatnonzero(tin.triangles.ravel() == -1) // 3]
     inner[ghosts[ghosts >= 0]] = False
-    over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
-    for left in range(PASSES, 0, -1):
-        over = np.maximum(over, overgrown(ground, scatter, least))
-        drop = np.flatnonzero(tin.vertex & inner & (over > 0))
-        ground.margin[drop], dropped = over[drop], dropped + len(drop)
-        ground.drop(drop)
-        if left == 1 or len(drop) == 0 or not np.isfinite(least).any():
-            break
-        scatter, over = scatter.measure_again(tin, np.isfinite(least)), np.zeros_like(over)
-    return dropped
+    drop = np.flatnonzero(tin.vertex & inner & (over > 0))
+    ground.margin[drop] = over[drop]
+    ground.drop(drop)
+    return len(drop)

@@ -98,6 +98,13 @@ def highest_in(xyz: np.ndarray, cells: Cells) -> np.ndarray:
     return -lowest_in_cells(grid.flat(xyz), -xyz[:, 2], grid.nx * grid.ny, rows=False)[0].reshape(grid.shape)
 
 
+def positions(xyz: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """f64[n] each: columns and rows of points f32[n, 3]; the centre of cell (row, column) is at (column, row)."""
+    corner, cell = np.array([cells.grid.x0, cells.grid.y0], np.float64), float(cells.grid.cell)
+    x, y = ((xyz[:, :2].astype(np.float64) - corner) / cell - 0.5).T
+    return np.ascontiguousarray(x), np.ascontiguousarray(y)
+
+
 def number_in(points: Points, cells: Cells) -> np.ndarray:
     """i64[rows, columns], without padding: how many points are in each cell."""
     grid = cells.grid

@@ -8,18 +8,17 @@ from ..compiled import compiled
 
 
 @compiled(allocates=True)
-def draw(x, y, triangles, z, low, longest, out, known):
+def draw(x, y, triangles, z, out, known):
     """Give the cells that are not ``known`` the elevations of a triangulation, linear within each triangle. On the edge of two
     the lower one counts, so that the order of triangles and of their corners changes nothing.
 
     Args:
         x, y: f64[k], positions of the nodes in cells; the centre of cell (row, column) is at (column, row).
         triangles: i32[t, 3]; rows with a negative corner are left out.
-        z, low: f32[k], two elevations of each node, metres; triangles with an edge over ``longest`` cells have the second.
+        z: f32[k], elevations of the nodes, metres.
         out: f32[rows, columns], written to; known: bool[rows, columns], set for the cells that have a value.
     """
     rows, columns = out.shape
-    limit = longest * longest
     drawn = np.zeros(out.shape, np.bool_)
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -34,9 +33,6 @@ def draw(x, y, triangles, z, low, longest, out, known):
             continue
         south, north = ay + min(0.0, uy, vy), ay + max(0.0, uy, vy)
         west, east = ax + min(0.0, ux, vx), ax + max(0.0, ux, vx)
-        wx, wy = vx - ux, vy - uy
-        wide = max(ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy) > limit
-        za, zb, zc = (low[a], low[b], low[c]) if wide else (z[a], z[b], z[c])
         for row in range(max(0, int(np.ceil(south))), min(rows - 1, int(np.floor(north))) + 1):
             for column in range(max(0, int(np.ceil(west))), min(columns - 1, int(np.floor(east))) + 1):
                 px, py = column - ax, row - ay
@@ -45,7 +41,7 @@ def draw(x, y, triangles, z, low, longest, out, known):
                     continue
                 s, r = s / area, r / area
                 if s + r <= 1:
-                    level = np.float32(za + s * (zb - za) + r * (zc - za))
+                    level = np.float32(z[a] + s * (z[b] - z[a]) + r * (z[c] - z[a]))
                     if not drawn[row, column] or level < out[row, column]:
                         out[row, column] = level
                     known[row, column] = drawn[row, column] = True
@@ -130,25 +126,24 @@ def falls(segment, z, seen, further, known):
 
 
 @compiled(allocates=True)
-def census(segment, count, marked, fall, walls, slope, inside, drop, run, tall):
-    """i32[7, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
-    others, of the latter where the surface falls, of these on faces, of those at walls of more than f32 ``tall``, metres, and of
-    its other cells at the edge of what is ``inside``; zero for the cells that are in none.
+def census(segment, count, fall, walls, slope, inside, drop, run, tall):
+    """i32[6, 1 + count]: for each segment the numbers of its cells, of those on its border with others, of the latter where the
+    surface falls, of these on faces, of those on its border at walls of more than f32 ``tall``, metres, and of its other cells at
+    the edge of what is ``inside``; zero for the cells that are in none.
 
     Args:
-        segment: i32[rows, columns], and how many there are, from :func:`segments`; marked, inside: bool[rows, columns].
+        segment: i32[rows, columns], and how many there are, from :func:`segments`; inside: bool[rows, columns].
         fall, walls: from :func:`falls`; slope: f32[rows, columns], rise over run. The surface falls by more than f32 ``drop``,
             metres, and the slope times f32 ``run``, metres.
     """
     rows, columns = segment.shape
-    found = np.zeros((7, count + 1), np.int32)
+    found = np.zeros((6, count + 1), np.int32)
     for row in range(rows):
         for column in range(columns):
             name = segment[row, column]
             if name == 0:
                 continue
             found[0, name] += 1
-            found[1, name] += marked[row, column]
             border = edge = False
             for side in range(4):
                 r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
@@ -156,12 +151,12 @@ def census(segment, count, marked, fall, walls, slope, inside, drop, run, tall):
                     border |= segment[r, c] != name
                 else:
                     edge = True
-            found[2, name] += border
             falling = border and abs(fall[row, column]) > drop + run * slope[row, column]
-            found[3, name] += falling
-            found[4, name] += falling and fall[row, column] < 0
-            found[5, name] += border and walls[row, column] and fall[row, column] > tall
-            found[6, name] += edge and not border
+            found[1, name] += border
+            found[2, name] += falling
+            found[3, name] += falling and fall[row, column] < 0
+            found[4, name] += border and walls[row, column] and fall[row, column] > tall
+            found[5, name] += edge and not border
     return found
 
 

@@ -1,0 +1,120 @@
+"""The state of a scene that the steps of OST fill in, and what a rule is: something that changes one part of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...core.filter import Labels
+from ...core.points import Points
+from ...core.water import WaterCells
+from ...engines.grid.inpaint import fill_nearest
+from ...engines.tin.ground import GroundTin
+from ...engines.tin.triangulation import Tin
+from ..objects import Parts
+from ..pruning import Scatter
+from ..sensors import KINDS
+from ..surfaces import Cells, lowest_cells, positions
+
+
+@dataclasses.dataclass(eq=False)
+class Scene:
+    """What OST knows of a cloud, in the order in which it finds out. Grids are [rows, columns], without padding.
+
+    Attributes:
+        ost: the filter, whose fields rules may read. points: those that are classified, m of them. spacing: metres.
+        low: bool[m], points that are too low to be seeds.
+        plants: bool[m], where plants hide the ground.
+        cells: the grid. lowest: i64, rows of the points that are lowest in their cell; tin: their
+            triangulation.
+        z: f32, the lowest elevation of each cell, metres, none missing; inside: bool, cells inside the hull of these points.
+        steepest: f32, metres per cell that openings lower a cell by. segments: of ``z``.
+        slope: f32, rise over run of the landscape around each cell.
+        marked: bool, cells that openings take for objects. whole: bool, cells of segments that are objects as a whole.
+        back: bool, cells of these that are ground all the same. rock: bool, steep ones among them.
+        seeds: i64, rows of the first ground. never: bool[m], points that may not become ground.
+        distance: f32[m], metres from the plane of a facet within which a point joins.
+    """
+
+    ost: Any
+    points: Points
+    spacing: float
+    low: np.ndarray = dataclasses.field(init=False)
+    plants: np.ndarray = dataclasses.field(init=False)
+    cells: Cells = dataclasses.field(init=False)
+    lowest: np.ndarray = dataclasses.field(init=False)
+    tin: Tin = dataclasses.field(init=False)
+    z: np.ndarray = dataclasses.field(init=False)
+    inside: np.ndarray = dataclasses.field(init=False)
+    steepest: np.ndarray = dataclasses.field(init=False)
+    segments: Parts = dataclasses.field(init=False)
+    slope: np.ndarray = dataclasses.field(init=False)
+    marked: np.ndarray = dataclasses.field(init=False)
+    whole: np.ndarray = dataclasses.field(init=False)
+    back: np.ndarray = dataclasses.field(init=False)
+    rock: np.ndarray = dataclasses.field(init=False)
+    seeds: np.ndarray = dataclasses.field(init=False)
+    never: np.ndarray = dataclasses.field(init=False)
+    distance: np.ndarray = dataclasses.field(init=False)
+
+    @property
+    def objects(self) -> np.ndarray:
+        """bool[rows, columns]: cells that are no ground."""
+        return (self.marked | self.whole) & ~self.back
+
+    @property
+    def seen(self) -> np.ndarray:
+        """bool[rows, columns]: cells with points."""
+        rows, columns = self.z.shape
+        return np.ascontiguousarray(np.asarray(self.cells.seen)[:rows, :columns])
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule:
+    """A rule of OST: a frozen value that holds its constants. It changes the scene after a step, where it defines one of these
+    methods. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
+
+    What ``bar`` and ``surface`` write is shared by the sets of a sweep: they replace an array, and do not write into it.
+    """
+
+    SENSORS: ClassVar[tuple[str, ...]] = KINDS
+    """The kinds of clouds that the rule is for, where no rules are named."""
+
+    def bar(self, scene: Scene) -> None:
+        """After low points: change ``low`` or ``plants``."""
+
+    def surface(self, scene: Scene) -> None:
+        """After the surface: change ``z``."""
+
+    def judge(self, scene: Scene) -> None:
+        """After openings and segments: change ``whole`` or ``back``."""
+
+    def seed(self, scene: Scene) -> None:
+        """After seeds: change ``seeds``, ``never`` or ``distance``."""
+
+    def prune(self, scene: Scene, ground: GroundTin, scatter: Scatter) -> int:
+        """After pruning: drop more vertices of the triangulation; how many. ``scatter``: of the vertices before pruning."""
+        return 0
+
+    def label(self, scene: Scene, labels: Labels) -> None:
+        """At the end: change labels. ``scene.points`` are all points here, also those for which another stands."""
+
+
+def grid_of(scene: Scene, cell: float) -> Cells:
+    """The lowest point of each square of ``cell`` metres, without those that are too low. Squares are centred on the lattice."""
+    x, y = scene.points.offset(cell)
+    return lowest_cells(scene.points, cell, "OST(cell)", corner=(x - cell / 2, y - cell / 2), barred=scene.low)
+
+
+def filled(tin: Tin, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """f32[rows, columns]: lowest elevations, and in empty cells those of a triangulation of the lowest points; outside its hull
+    the nearest cell decides. bool[rows, columns]: cells inside its hull."""
+    from ...engines.grid.shapes import draw  # imports Numba
+
+    z, seen = np.array(cells.lowest), np.array(cells.seen)
+    rows, columns = cells.grid.shape
+    draw(*positions(tin.xyz, cells), tin.triangles, tin.xyz[:, 2], z[:rows, :columns], seen[:rows, :columns])
+    inside = seen[:rows, :columns].copy()
+    return np.array(fill_nearest(z, seen, cells.valid))[:rows, :columns], inside
