@@ -13,7 +13,7 @@ from ..core.filter import Filter
 from ..core.params import declared
 from ..methods import FILTERS
 from .session import BadUsage
-from .values import Number
+from .values import Names, Number
 
 
 def method_of(name: str) -> type[Filter]:
@@ -41,7 +41,7 @@ def options(method: type[Filter]) -> list[click.Option]:
 def describe(field: dataclasses.Field[Any]) -> str:
     """One sentence on a field: what it is, its symbol, unit, admissible range and default."""
     meta = field.metadata
-    choices = ", ".join(str(c) for c in meta.get("choices") or ())
+    choices = ", ".join(str(c) for c in meta.get("choices") or meta.get("names") or ())
     unit = f"{meta.get('range', '')} {meta.get('unit', '')}".strip()
     default = "none" if field.default is None else str(field.default)
     notes = [f"symbol {meta['symbol']}" if meta.get("symbol") else "", unit, choices, f"default {default}"]
@@ -54,6 +54,8 @@ def _flag(name: str) -> str:
 
 def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamType:
     """The kind of values of a field, which are not yet held against its limits."""
+    if field.metadata.get("names") is not None:
+        return Names()
     hint, choices = typing.get_type_hints(method)[field.name], field.metadata.get("choices")
     base = next(one for one in (*typing.get_args(hint), hint) if one is not type(None))  # float of float | None
     if base is bool:
@@ -88,5 +90,6 @@ def command_for(filter_: Filter, names: Sequence[str], base: Filter) -> list[str
         if isinstance(value, bool):
             words.append(flag if value else f"--no-{flag[2:]}")
         else:
-            words += [flag, "none" if value is None else str(value)]
+            names = "+".join(value) if isinstance(value, tuple) else value
+            words += [flag, "none" if names in (None, "") else str(names)]
     return words

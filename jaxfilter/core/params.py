@@ -117,6 +117,8 @@ def describe_field(field: dataclasses.Field[Any]) -> str:
     meta, default = field.metadata, field.default
     choices = meta.get("choices")
     kind = " or ".join(map(repr, choices)) if choices else type(default).__name__ if default is not None else "float"
+    if meta.get("names") is not None:
+        kind = f"tuple of {', '.join(map(repr, meta['names']))}"
     facts = [kind + " or None" * bool(meta.get("optional")), meta.get("unit"), meta.get("range")]
     facts += ["static" * bool(meta.get("static")), f"default {default!r}"]
     symbol = f"; {meta['symbol']} in the paper" if meta.get("symbol") else ""

@@ -307,8 +307,10 @@ class OST(Filter):
             scene.marked = scene.steepest > limit
             scene.whole = roof_cells(scene.segments, scene.marked, scene.slope, roofs)
             for rule in rules:
-                rule.judge(scene)
+                rule.give_back(scene)
             objects = scene.objects
+        for rule in rules:
+            rule.judge(scene)
         return np.maximum(limit, np.float32(1e-6))
 
     def seed(self, scene: Scene, rules: list[Rule]) -> None:

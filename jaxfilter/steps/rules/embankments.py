@@ -26,7 +26,7 @@ class Embankments(Rule):
     further: float = 1.6
     """On a bank the surface falls so many times as far within two cells as within one."""
 
-    def judge(self, scene: Scene) -> None:
+    def give_back(self, scene: Scene) -> None:
         from ...engines.grid.shapes import banks, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))

@@ -29,15 +29,17 @@ class Halls(Rule):
 
     def judge(self, scene: Scene) -> None:
         one, drop, share = scene.segments, float(scene.ost.roof_drop), float(scene.ost.roof_drop_share)
-        parts = [one, *(one.joined(scene.z, level * drop) for level in self.levels)]
-        even = np.abs(scene.z - uniform_filter(scene.z, 3, mode="nearest")) <= self.even
         whole = scene.whole.copy()
-        for group in parts:
+        for group in (one, *(one.joined(scene.z, level * drop) for level in self.levels)):
             found = group.census(scene.slope, drop, self.tall)
-            cut = found.edge > 0
-            hall = (found.walls >= self.walls * found.border) & (found.border >= self.shown * found.edge)
-            falls = np.where(cut, hall, found.falling >= share * found.border) & (found.border > 0)
-            inside = np.bincount(group.number.ravel(), one.number.ravel() > 0, group.last + 1)
-            level = np.bincount(group.number.ravel(), even.ravel(), group.last + 1)
-            whole |= (falls & (2 * np.where(cut, np.maximum(inside, level), inside) >= found.cells))[group.number]
+            cut, hall = found.edge > 0, found.walls >= self.walls * found.border
+            falls = np.where(cut, hall & (found.border >= self.shown * found.edge), found.falling >= share * found.border)
+            here = (falls & (found.border > 0))[group.number]
+            number, size = group.number[here], group.last + 1
+            level = one.number[here] > 0
+            counts = np.bincount(number[level], minlength=size)
+            if cut[number].any():  # it may be steep, too
+                even = np.abs(scene.z - uniform_filter(scene.z, 3, mode="nearest"))[here] <= self.even
+                counts = np.where(cut, np.maximum(counts, np.bincount(number[even], minlength=size)), counts)
+            whole[here] |= (2 * counts >= found.cells)[number]
         scene.whole = whole

@@ -88,8 +88,11 @@ class Rule:
     def surface(self, scene: Scene) -> None:
         """After the surface: change ``z``."""
 
+    def give_back(self, scene: Scene) -> None:
+        """After openings and segments, twice, since the slope of the landscape needs to know what is ground: change ``back``."""
+
     def judge(self, scene: Scene) -> None:
-        """After openings and segments: change ``whole`` or ``back``."""
+        """After that: change ``whole``."""
 
     def seed(self, scene: Scene) -> None:
         """After seeds: change ``seeds``, ``never`` or ``distance``."""

@@ -35,7 +35,7 @@ class Steep(Rule):
     sheet: float = 0.6
     """Metres, standard deviation at most, that points of rock lie from their plane in a cell. Leaves scatter by more."""
 
-    def judge(self, scene: Scene) -> None:
+    def give_back(self, scene: Scene) -> None:
         from ...engines.grid.shapes import faces, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import ClassVar
 
 import numpy as np
 
-from ...engines.grid.extremes import lowest
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import positions
 from .scene import Rule, Scene
@@ -29,14 +29,16 @@ class Voids(Rule):
         from ...engines.grid.shapes import draw  # imports Numba
 
         tin, cell = scene.tin, scene.ost.cell
-        corner = tin.xyz[tin.triangles]
-        longest = np.sqrt(((corner - np.roll(corner, 1, axis=1))[:, :, :2] ** 2).sum(axis=2).max(axis=1))
-        over = (tin.triangles.min(axis=1) >= 0) & (longest > max(self.edge, 4 * scene.spacing))
-        if not over.any():
-            return
-        low = lowest(np.where(scene.seen, scene.z, np.float32(np.inf)), 2 * math.ceil(self.rim / cell - 1e-6) + 1)
         x, y = positions(tin.xyz, scene.cells)
-        row, column = (np.clip(np.rint(at).astype(int), 0, n - 1) for at, n in zip((y, x), low.shape, strict=True))
-        z, known = scene.z.copy(), scene.seen.copy()
-        draw(x, y, tin.triangles[over], np.minimum(low[row, column], tin.xyz[:, 2]), z, known)
+        corner, limit = tin.triangles, max(self.edge, 4 * scene.spacing) / cell
+        side = (np.hypot(x[corner[:, k]] - x[corner[:, k - 1]], y[corner[:, k]] - y[corner[:, k - 1]]) for k in range(3))
+        over = (corner.min(axis=1) >= 0) & (np.maximum.reduce(list(side)) > limit)
+        nodes, reach = np.unique(corner[over]), math.ceil(self.rim / cell - 1e-6)
+        z, known = scene.z.copy(), scene.seen
+        wide = np.pad(np.where(known, z, np.float32(np.inf)), reach, constant_values=np.inf)
+        row, column = (np.rint(at[nodes]).astype(int) for at in (y, x))
+        beneath = tin.xyz[:, 2].copy()
+        for i, j in itertools.product(range(2 * reach + 1), repeat=2):
+            beneath[nodes] = np.minimum(beneath[nodes], wide[row + i, column + j])
+        draw(x, y, corner[over], beneath, z, known)
         scene.z = z
