@@ -20,17 +20,17 @@ from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.methods import ost
 from jaxfilter.scenes import Kind
-from jaxfilter.steps import pruning
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
-from jaxfilter.steps.landscape import Landscape
-from jaxfilter.steps.objects import Roofs, Segments
-from jaxfilter.steps.pruning import Scatter, prune
+from jaxfilter.steps.landscape import landscape_slope
+from jaxfilter.steps.objects import Parts
+from jaxfilter.steps.pruning import Scatter, drop_vertices
+from jaxfilter.steps.rules import RULES, Scene
+from jaxfilter.steps.rules.scene import filled
 from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
 from jaxfilter.steps.surfaces import lowest_cells
-from jaxfilter.steps.voids import fill_voids
 
-ROOFS = Roofs(step=0.3, area=30.0, share=0.6, drop=2.5, drop_share=0.5)
+ROOFS = jf.OST(roof_step=0.3, roof_area=30.0, roof_share=0.6, roof_drop=2.5, roof_drop_share=0.5)
 
 
 def points_of(xyz):
@@ -60,6 +60,16 @@ def nodes(side, z):
     return points_of(np.column_stack([column.ravel() + 0.5, row.ravel() + 0.5, np.broadcast_to(z, row.shape).ravel()]))
 
 
+def low_of(filter_, points):
+    """bool[m], what the first step bars."""
+    return filter_.surface(points, 1).low
+
+
+def with_rule(monkeypatch, name, **constants):
+    """From now on the rule has other constants."""
+    monkeypatch.setitem(RULES, name, dataclasses.replace(RULES[name], **constants))
+
+
 @pytest.fixture
 def tin_of():
     """A function that makes the network of all points f32[n, 3]."""
@@ -86,9 +96,8 @@ def test_low_points_are_those_with_few_others_as_low_around_them_wherever_the_gr
     below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
     expected = (below <= 6) & (around.sum(axis=1) - 1 - below > 6)
     assert 5 <= expected.sum() < 40
-    alone = jf.OST(window=window, low_points=6, sensor="drone lidar")  # without larger clusters
-    np.testing.assert_array_equal(alone.low(points), expected)
-    assert not jf.OST(window=window, low_points=0).low(points).any()
+    np.testing.assert_array_equal(low_of(jf.OST(window=window, low_points=6, rules=()), points), expected)
+    assert not low_of(jf.OST(window=window, low_points=0), points).any()
 
 
 def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
@@ -98,7 +107,7 @@ def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
     xyz = np.column_stack([x, y, np.where(block & ~court, 12.0, 0.0) - 9.0 * cluster])
     xyz = np.concatenate([xyz, [[300 + i, 300, -30.0] for i in range(10)]])
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    low = points.spread(jf.OST().low(points), False)
+    low = points.spread(low_of(jf.OST(), points), False)
     np.testing.assert_array_equal(low, np.append(cluster, np.zeros(10, bool)))
 
 
@@ -108,10 +117,10 @@ def test_a_large_cluster_is_low_if_it_is_deep_and_scatters(rng, depth, scatter, 
     cluster = np.hypot(x - 40, y - 60) < 5
     hill = 0.3 * x + np.where(cluster, rng.normal(-depth, scatter, len(x)), 0)
     points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, hill])))
-    low = points.spread(jf.OST().low(points), False)
+    low = points.spread(low_of(jf.OST(), points), False)
     assert 60 < cluster.sum() < 120
     np.testing.assert_array_equal(low, cluster & barred)
-    assert jf.OST(sensor="drone lidar").low(points).sum() <= 30
+    assert low_of(jf.OST(rules=()), points).sum() <= 30
 
 
 @pytest.mark.parametrize("plants", [0, 3])
@@ -123,9 +132,9 @@ def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, pla
     above = np.repeat(np.column_stack([x, y, np.full(len(x), 6.0)])[x > 50], plants, axis=0)
     xyz = np.concatenate([np.column_stack([x, y, z]), above + rng.uniform((-0.4, -0.4, 1), (0.4, 0.4, 4), above.shape)])
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    low = points.spread(jf.OST(spacing=1.0).low(points), False)
+    low = points.spread(low_of(jf.OST(spacing=1.0), points), False)
     np.testing.assert_array_equal(low, (xyz[:, 2] == -1.5) & (plants == 0))
-    assert not jf.OST(sensor="drone lidar").low(points).any()
+    assert not low_of(jf.OST(rules=()), points).any()
 
 
 def test_drawn_elevations_equal_scipy(rng):
@@ -137,19 +146,16 @@ def test_drawn_elevations_equal_scipy(rng):
     known = rng.random((40, 40)) < 0.2
     out, before = np.full((40, 40), -99.0, np.float32), known.copy()
     row, column = np.mgrid[:40, :40]
-    for longest, heights in ((1e9, z), (0.0, z - 7)):
-        values, seen = out.copy(), known.copy()
-        ghost = np.concatenate([triangles, [[0, 1, -1]]]).astype(np.int32)
-        shapes.draw(*xy.T.copy(), ghost, z.astype(np.float32), (z - 7).astype(np.float32), longest, values, seen)
-        expected = LinearNDInterpolator(xy, heights)(column, row)
-        drawn = ~before & np.isfinite(expected)
-        assert (seen == (drawn | before)).all() and (values[~drawn] == -99.0).all()
-        np.testing.assert_allclose(values[drawn], expected[drawn], atol=1e-4)
+    ghost = np.concatenate([triangles, [[0, 1, -1]]]).astype(np.int32)
+    shapes.draw(*xy.T.copy(), ghost, z.astype(np.float32), out, known)
+    expected = LinearNDInterpolator(xy, z)(column, row)
+    drawn = ~before & np.isfinite(expected)
+    assert (known == (drawn | before)).all() and (out[~drawn] == -99.0).all()
+    np.testing.assert_allclose(out[drawn], expected[drawn], atol=1e-4)
 
 
 def test_the_census_counts_as_numpy_does(rng):
     segment, count = shapes.segments(rng.integers(0, 2, (18, 22)).astype(np.float32), np.float32(0.5), 3)
-    marked = rng.random(segment.shape) < 0.4
     fall, slope = rng.random((2, *segment.shape)).astype(np.float32)
     fall *= rng.choice([-1, 1], segment.shape)
     falls = np.abs(fall) > 0.25 + 0.5 * slope
@@ -161,10 +167,10 @@ def test_the_census_counts_as_numpy_does(rng):
         border |= (beside != segment) & (beside >= 0)
         edge |= beside < 0
     limits = (np.float32(limit) for limit in (0.25, 0.5, 0.6))
-    found = shapes.census(segment, count, marked, fall, walls, slope, inside, *limits)
-    assert (found[:, 0] == 0).all() and found.shape == (7, count + 1)
+    found = shapes.census(segment, count, fall, walls, slope, inside, *limits)
+    assert (found[:, 0] == 0).all() and found.shape == (6, count + 1)
     falling, tall = border & falls, border & walls & (fall > 0.6)
-    counted = np.ones_like(marked), marked, border, falling, falling & (fall < 0), tall, edge & ~border
+    counted = np.ones_like(border), border, falling, falling & (fall < 0), tall, edge & ~border
     for k, cells in enumerate(counted):
         np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
@@ -204,37 +210,43 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     if houses:
         objects[20:32, 20:32] = objects[60:75, 50:58] = True
         z = z + 8 * objects
-    cells = cells_of(nodes(100, z))
-    wide, marked = np.zeros(cells.lowest.shape, np.float32), np.zeros(cells.lowest.shape, bool)
-    inside = slice(0, 100), slice(0, 100)
-    wide[inside], marked[inside] = z[inside], objects[inside]
-    landscape = Landscape.from_elevations(wide, cells, marked, 10.0)
-    slope = np.asarray(landscape.in_cells())[inside]
+    slope = landscape_slope(z.astype(np.float32), cells_of(nodes(100, z)), objects, 10.0)
     np.testing.assert_allclose(slope, 0.5, atol=0.06 if houses else 1e-3)
-    middles = np.stack([column[inside].ravel(), row[inside].ravel(), 0 * slope.ravel()], axis=1) + np.float32(0.5)
-    np.testing.assert_allclose(landscape.at(middles), slope.ravel(), atol=1e-5)
 
 
-@pytest.mark.parametrize("cell", [0.5, 2.0])
-def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(cell):
-    """Single cells stand up from level land, each higher than the one before: the run of their drops is one cell."""
-    cells = cells_of(nodes(40, 0) * np.float32([cell, cell, 0]), cell)
-    slope = np.zeros(cells.lowest.shape, np.float32)
-    slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
-    first = jf.OST(cell=cell, window=4 * cell, landscape=5.0).drops(slope * cell, np.ones((40, 40), bool), cells)[2]
-    expected = Landscape.from_elevations(slope * cell, cells, slope > 0.15, 5.0)
-    np.testing.assert_array_equal(first.in_cells(), expected.in_cells())
+def scene_of(z, roofs=ROOFS, inside=None, largest=1e6, seen=None, slope=0.0, marked=None, high=None):
+    """A scene of cells of 1 m in the state in which rules judge: all but the rows of points is known."""
+    z, every = np.asarray(z, np.float32), np.ones(z.shape, bool)
+    inside, seen = (every if given is None else given for given in (inside, seen))
+    row, column = (a.ravel() + 0.5 for a in np.mgrid[: z.shape[0], : z.shape[1]])
+    top = z if high is None else high
+    scene = Scene(
+        roofs.replace(window=math.sqrt(largest) / 2), rows_of(np.c_[column, row, top.ravel()].astype("f4")), 1.0
+    )
+    cells = cells_of(np.c_[column, row, z.ravel()].astype("f4"))
+    wide = [(0, n - m) for n, m in zip(cells.seen.shape, z.shape, strict=True)]
+    scene.z, scene.inside, scene.cells = z, inside, dataclasses.replace(cells, seen=np.pad(seen, wide))
+    scene.segments = Parts.from_elevations(z, inside, scene.seen, 1.0, roofs.roof_step, roofs.roof_area)
+    scene.slope = np.full(z.shape, slope, np.float32)
+    scene.marked = np.zeros(z.shape, bool) if marked is None else marked
+    scene.whole = scene.back = scene.rock = ~every
+    return scene
 
 
-def whole_of(z, roofs=ROOFS, inside=None, largest=1e9, seen=None):
-    inside, seen = (np.ones(z.shape, bool) if given is None else given for given in (inside, seen))
-    return Segments(z, inside, seen, 1.0, roofs, largest)
+def given_back(name, z, marked, whole=None, **given):
+    """bool[rows, columns]: what the rule makes ground of these marked cells."""
+    scene = scene_of(z, marked=marked, **given)
+    scene.whole = scene.whole if whole is None else whole
+    RULES[name].give_back(scene)
+    return scene.back
 
 
-def objects(z, marked=None, slope=0.0, **given):
-    """Cells that go as a whole, where these are marked, over a landscape of this slope."""
-    marked = np.zeros(z.shape, bool) if marked is None else marked
-    return whole_of(z, **given).objects(marked, np.full(z.shape, slope, np.float32))
+def objects(z, **given):
+    """Cells that go as a whole, by the core and by the rule for halls."""
+    scene = scene_of(z, **given)
+    scene.whole = scene.ost.roofs(scene)
+    RULES["halls"].judge(scene)
+    return scene.whole
 
 
 @pytest.mark.parametrize("back, reach", [(2, 12.0), (3, 8.0)])
@@ -291,33 +303,28 @@ def test_what_falls_on_banks_is_an_embankment_and_what_has_walls_is_none(rng):
     row, column = np.mgrid[:80, :80].astype(np.float32)
     dike = np.clip(6 - 0.6 * np.abs(row + column / 4 - 50), 0, 4)
     top = dike > 1
-    np.testing.assert_array_equal(whole_of(dike).embankments(top), top)
-    house = np.where(top, dike / 3 + 2, 0).astype(np.float32)
-    assert not whole_of(house).embankments(top).any()
-    assert not whole_of(dike * np.float32(2.5)).embankments(top).any()  # steeper than earth
-    rough = dike + top * np.float32(rng.uniform(0, 0.9, dike.shape))
-    assert not whole_of(rough).embankments(top).any()
-    assert not whole_of(dike, ROOFS._replace(area=5000.0)).embankments(top).any()
-    sunk = np.where(top, np.float32(-1), np.float32(0))
-    assert not whole_of(sunk).embankments(top).any()  # it falls nowhere
+    np.testing.assert_array_equal(given_back("embankments", dike, top), top)
+    house, sunk = np.where(top, dike / 3 + 2, 0), np.where(top, -1, 0)  # this one falls nowhere
+    rough, steep = dike + top * rng.uniform(0, 0.9, dike.shape), 2.5 * dike  # steeper than earth
+    for other in (house, sunk, rough, steep):
+        assert not given_back("embankments", other, top).any()
+    assert not given_back("embankments", dike, top, roofs=ROOFS.replace(roof_area=5000.0)).any()
 
 
 def test_a_rock_is_terrain_and_a_roof_and_a_crown_are_none(rng):
     """Cones of 60 degrees: bare; with a storey below; with echoes at any height. All of them are marked."""
     row, column = np.mgrid[:60, :60].astype(np.float32)
     cone = np.maximum(0, 20 - 1.7 * np.hypot(row - 30, column - 30)).astype(np.float32)
-    marked, none = cone > 0, np.zeros((60, 60), bool)
+    marked = cone > 0
     bare = cone + np.float32(1.7) * marked
-    np.testing.assert_array_equal(whole_of(cone).terrain(marked, none, bare), marked)
+    np.testing.assert_array_equal(given_back("steep", cone, marked, high=bare), marked)
     house = np.where(marked, cone / 4 + 5, 0).astype(np.float32)
-    assert not whole_of(house).terrain(marked, none, house + np.float32(0.5)).any()
-    assert not whole_of(cone).terrain(marked, none, bare + 3 * marked).any()
     crown = cone + np.where(marked, rng.uniform(0, 3, cone.shape), 0).astype(np.float32)
-    assert not whole_of(crown).terrain(marked, none, crown + np.float32(2)).any()
-    assert not whole_of(cone).terrain(marked, marked, bare).any()  # roofs as a whole
     level = np.minimum(cone, np.float32(5))  # between its faces
-    assert not whole_of(level).terrain(marked, none, level).any()
-    assert not whole_of(cone, seen=column % 2 == 0).terrain(marked, none, bare).any()  # too few points to tell
+    for other, high in ((house, house + 0.5), (cone, bare + 3 * marked), (crown, crown + 2), (level, level)):
+        assert not given_back("steep", other, marked, high=high).any()
+    assert not given_back("steep", cone, marked, whole=marked, high=bare).any()  # roofs as a whole
+    assert not given_back("steep", cone, marked, high=bare, seen=column % 2 == 0).any()  # too few points to tell
 
 
 @pytest.mark.parametrize("sensor, share", [(AIRBORNE, 0.97), (MATCHING, 0.75)])
@@ -333,13 +340,22 @@ def test_a_headland_of_steep_rock_at_the_edge_of_the_data_is_ground(rng, sensor,
     assert steep.sum() > 2000 and result.ground[steep].mean() > share
 
 
+def rock_where(there):
+    """A rule for steep terrain that gives back the columns in which this is so."""
+
+    def give_back(self, scene):
+        scene.rock = scene.back = there(np.mgrid[: scene.z.shape[0], : scene.z.shape[1]][1])
+
+    return give_back
+
+
 def test_near_steep_terrain_that_is_given_back_rough_rock_is_ground(rng, monkeypatch):
     """A slope of 45 degrees with bumps of up to 1 m, of which the western end is said to be given back."""
     xy = rng.uniform((0, 0), (90, 30), (27_000, 2))
     up = rng.uniform(0, 1, len(xy))
     points = np.column_stack([xy, xy[:, 0] + up])
     filter_, bumps = jf.OST(window=20, scaling=0, distance_relief=0, rounds=2), up > 0.7
-    monkeypatch.setattr(Segments, "terrain", lambda self, *_: np.mgrid[: self.z.shape[0], : self.z.shape[1]][1] < 10)
+    monkeypatch.setattr(type(RULES["steep"]), "give_back", rock_where(lambda column: column < 10))
     near, far = bumps & (xy[:, 0] < 29), bumps & (xy[:, 0] > 31)  # the window lies around the first ten metres
     ground = filter_(points).ground
     assert ground[near].mean() > 0.9 and ground[far].mean() < 0.2
@@ -370,10 +386,10 @@ def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few(mon
         return jf.dtm_rmse(scene.cloud, result, scene.truth)
 
     found = measured()
-    monkeypatch.setattr(ost, "SIDES", 5)  # no seed rises on so many
+    with_rule(monkeypatch, "plants", sides=5)  # no seed rises on so many
     before = measured()
     assert found.rmse < 0.9 * before.rmse and found.off < 0.9 * before.off
-    monkeypatch.setattr(pruning, "PASSES", 1)
+    with_rule(monkeypatch, "plants", sides=5, passes=1)
     once = measured()
     assert before.rmse < 0.9 * once.rmse and before.off < 0.9 * once.off and once.off > 1
     assert found.rmse < 0.7 * once.rmse and found.off < 0.7 * once.off
@@ -396,9 +412,8 @@ def overhanging(rng):
 
 def test_an_overhang_is_ground_and_so_is_what_is_beneath(rng, monkeypatch):
     xyz, kind = overhanging(rng)
-    steep = lambda self, *_: np.mgrid[: self.z.shape[0], : self.z.shape[1]][1] >= 20  # noqa: E731
     before = jf.OST()(xyz).ground
-    monkeypatch.setattr(Segments, "terrain", steep)
+    monkeypatch.setattr(type(RULES["steep"]), "give_back", rock_where(lambda column: column >= 20))
     result = jf.OST()(xyz)
     assert before[kind == 1].mean() < 0.1 and result.ground[kind == 1].mean() > 0.9
     assert result.ground[kind == 4].mean() > 0.95 and result.ground[kind == 2].mean() < 0.2
@@ -448,7 +463,7 @@ def test_a_roof_of_several_levels_is_an_object():
 def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is():
     """Half of its outline is inside, with walls. A plateau has faces, walls above a void, or less of it inside."""
     (row, column), level = np.mgrid[:80, :80], np.zeros((80, 80), np.float32)
-    hall, judged = level.copy(), {"roofs": ROOFS._replace(drop_share=0.53), "largest": 400}
+    hall, judged = level.copy(), {"roofs": ROOFS.replace(roof_drop_share=0.53), "largest": 400}
     hall[:50, :40] = 8
     np.testing.assert_array_equal(objects(hall, **judged), hall > 0)
     stairs = hall.copy()
@@ -466,7 +481,7 @@ def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is(
 def test_a_steep_roof_that_a_corner_of_the_data_cuts_is_an_object_and_a_rock_is_none():
     row, column = np.indices((60, 60), np.float32)
     roof = np.where((row < 30) & (column < 30), 30 - 0.6 * (abs(column - 16) + abs(row - 16)), np.float32(0))
-    assert not whole_of(roof).segments.number[roof > 0].any()
+    assert not scene_of(roof).segments.number[roof > 0].any()
     np.testing.assert_array_equal(objects(roof), roof > 0)
     rough = np.random.default_rng(0).uniform(-0.6, 0.6, roof.shape)
     rock = np.where(roof > 0, roof + rough, 0).astype(np.float32)
@@ -499,10 +514,10 @@ def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
     terrace = np.where(row >= 30, level, rise)  # a ramp up to 6 m, with one steep side
     assert not objects(terrace).any()
     roof = gable > 0
-    np.testing.assert_array_equal(objects(gable, roofs=ROOFS._replace(drop=99.0), marked=roof), roof)
+    np.testing.assert_array_equal(objects(gable, roofs=ROOFS.replace(roof_drop=99.0), marked=roof), roof)
     few = roof & (row < 28)  # 8 of its 20 rows are marked
-    assert not objects(gable, roofs=ROOFS._replace(drop=99.0), marked=few).any()
-    assert not objects(gable, roofs=ROOFS._replace(area=500.0), marked=roof).any()
+    assert not objects(gable, roofs=ROOFS.replace(roof_drop=99.0), marked=few).any()
+    assert not objects(gable, roofs=ROOFS.replace(roof_area=500.0), marked=roof).any()
     assert not objects(gable, slope=3.0).any()  # falls that a landscape of 300 % explains
 
 
@@ -512,7 +527,7 @@ def test_cells_outside_the_hull_are_told(rng, tin_of):
     xyz = points_of(np.column_stack([xy, np.ones(len(xy))]))
     tin = tin_of(xyz)
     cells = cells_of(xyz)
-    inside = fill_voids(tin, cells, 4, 8.0)[1]
+    inside = filled(tin, cells)[1]
     row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
     x, y = cells.grid.x0, cells.grid.y0
     hull = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([column.ravel() + x + 0.5, row.ravel() + y + 0.5])) >= 0
@@ -529,10 +544,13 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
     land = (column < 20) | (column > 40)
     xyz = points_of(np.column_stack([column, row, 5.0 * roof])[land])
     cells = cells_of(xyz)
-    tin = tin_of(xyz)
+    scene = scene_of(np.zeros((40, 60)))
+    scene.tin, scene.cells = tin_of(xyz), cells
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
-    hung, straight = (fill_voids(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
+    straight = scene.z = filled(scene.tin, cells)[0]
+    dataclasses.replace(RULES["voids"], rim=8.0).surface(scene)
+    hung = scene.z
     np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
     expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
     assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4
@@ -542,25 +560,29 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
 def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     xy = rng.uniform(0, 50, (2000, 2)).round(2)
     plane = points_of(np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 2000)]))
-    nowhere = np.full(len(plane), np.inf, np.float32)
+
+    def pruned(ground, spreads):
+        scatter = Scatter.from_vertices(ground.tin)
+        least = np.maximum(np.float32(spreads * scatter.deviation(ground.tin)), 3 * scatter.roughness)
+        return drop_vertices(ground, scatter.residual - least), scatter
+
     with ground_of(plane, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         before = ground.tin.vertex.sum()
-        scatter = Scatter.from_vertices(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.deviation(ground.tin), 3.0, nowhere) == 0
+        assert pruned(ground, 12.0)[0] == 0
         assert ground.tin.vertex.sum() == before and ground.ground.all()
     spiked = plane.copy()
     spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
     spiked[spike, 2] += 0.8
     with ground_of(spiked, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
-        scatter = Scatter.from_vertices(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.deviation(ground.tin), 3.0, nowhere) == 1
+        count, scatter = pruned(ground, 12.0)
+        assert count == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
         residual, roughness = scatter.at_all_points(ground)  # it is no vertex any more
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
 @pytest.mark.parametrize("case", ["plants", "no canopy", "in view", "within limits"])
-def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, case, monkeypatch):
+def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, case):
     """Of a field of plants more than half is left out, from above, only where the canopy hides what is below. The highest hide
     from the first pass that those beside them stick out, too."""
     xy = rng.uniform(0, 40, (1200, 2)).round(2)
@@ -568,13 +590,14 @@ def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, c
     plants = np.column_stack([xy, rng.uniform(0, 1.2, 1200)])
     xyz = points_of(np.concatenate([plants, above[: 600 if case == "no canopy" else 6000]]))
     low = xyz[:, 2] < xyz[:, 2].min() + 2
-    least = {"in view": np.inf, "within limits": 2.0}.get(case, 0.15)
+    least = 2.0 if case == "within limits" else 0.15
+    scene = scene_of(np.zeros((45, 45)), jf.OST(noise=least))
+    scene.points, scene.plants, scene.spacing = rows_of(xyz), np.full(len(xyz), case != "in view"), 0.1
 
     def pruned(passes):
-        monkeypatch.setattr(pruning, "PASSES", passes)
         with ground_of(xyz, np.flatnonzero(low), HeightRule(0.1, 0.1), 2) as ground:
             scatter = Scatter.from_vertices(ground.tin)
-            dropped = prune(ground, scatter, 1e9, 1.0, np.full(len(xyz), least, np.float32))
+            dropped = dataclasses.replace(RULES["plants"], passes=passes).prune(scene, ground, scatter)
             gone = low & ~ground.ground
             assert dropped == gone.sum() and (ground.margin[gone] > 0).all()
             if passes == 1:
@@ -645,7 +668,7 @@ def test_what_the_border_cuts_is_not_climbed():
 def test_the_local_spread_counts_per_metre_of_spacing_up_to_one_metre():
     """In filters in which the spacing decides nothing else."""
     cloud = jf.scenes.make("mixed", size=60.0, density=1.5, seed=3).cloud
-    plain = jf.OST(tolerance_spacing=0.0, scaling=0.0, distance_relief=0.0, noise=99.0, void=99.0, scene_spread=1.0)
+    plain = jf.OST(tolerance_spacing=0.0, scaling=0.0, distance_relief=0.0, noise=99.0, scene_spread=1.0, rules=())
 
     def ground(spacing, spread):
         result = plain.replace(spacing=spacing, local_spread=spread)(cloud)

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli.commands import main
 from jaxfilter.core.points import canonical_points
-from jaxfilter.methods.ost import NO_VOID
 from jaxfilter.scenes import SENSORS, Kind, SceneLayout
 from jaxfilter.steps.outliers import lowest_few, pits
+from jaxfilter.steps.rules import RULES
 from jaxfilter.steps.seeds import rising
 from jaxfilter.steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
 from jaxfilter.steps.surfaces import lowest_cells
@@ -60,7 +60,7 @@ def test_the_thickness_is_that_of_ground(noise):
 def test_for_cloud_sets_limits_by_the_sensor():
     plain = jf.OST.for_cloud(scene(AIRBORNE).cloud)
     assert plain.sensor == AIRBORNE
-    for name in ("tolerance", "noise", "void", "rounds", "low_points", "tolerance_spacing"):
+    for name in ("tolerance", "noise", "rounds", "low_points", "tolerance_spacing"):
         assert getattr(plain, name) == getattr(jf.OST(), name)
     thin, thick = (jf.OST.for_cloud(scene(DRONE, noise=noise).cloud) for noise in (0.015, 0.04))
     assert thin.sensor == thick.sensor == DRONE
@@ -69,9 +69,10 @@ def test_for_cloud_sets_limits_by_the_sensor():
     assert thin.low_points == 2 / 0.25**2  # two square metres of the squares for which one point stands
     photographs = jf.OST.for_cloud(scene(MATCHING).cloud)
     car = jf.OST.for_cloud(scene(MOBILE).cloud)
-    assert photographs.void == car.void == NO_VOID and thin.void == jf.OST().void
+    voids = RULES["voids"]
+    assert [voids in one.active() for one in (plain, thin, photographs, car)] == [True, True, False, False]
     assert car.spacing > 1.5 * canonical_points(scene(MOBILE).cloud).spacing()
-    assert jf.OST.for_cloud(scene(DRONE).cloud, void=5.0, tolerance=0.2).tolerance == 0.2
+    assert jf.OST.for_cloud(scene(DRONE).cloud, tolerance=0.2).tolerance == 0.2
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 40])
@@ -163,7 +164,7 @@ def test_crowns_at_the_edge_of_what_was_seen_are_no_ground(sensor):
     z = 0.2 * np.sin(x / 4) + np.where(crown, 6 + 0.5 * np.sin(y), 0)
     seen = np.abs(x - 50) > 30
     cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z])[seen] + [200, 200, 50])
-    found = jf.OST(sensor=sensor, spacing=0.5, void=NO_VOID)(cloud).ground
+    found = jf.OST(sensor=sensor, spacing=0.5)(cloud).ground
     assert found[crown[seen]].mean() < 0.02 and found[~crown[seen]].all()
 
 
@@ -173,10 +174,10 @@ def test_shadows_of_a_scan_from_a_car_are_no_water():
     made = scene(MOBILE, "hills", size=100, density=20)
     filter_ = jf.default_filter(made.cloud)
     lost = {}
-    for void in (8.0, filter_.void):
-        ground = filter_.replace(void=void)(made.cloud).ground
-        lost[void] = 100 * (made.truth & ~ground).sum() / made.truth.sum()
-    assert lost[NO_VOID] < min(0.1, lost[8.0] / 2)
+    for rules in (None, ("voids", "halls", "steep", "ramps")):
+        ground = filter_.replace(rules=rules)(made.cloud).ground
+        lost[rules is None] = 100 * (made.truth & ~ground).sum() / made.truth.sum()
+    assert lost[True] < min(0.1, lost[False] / 2)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from jaxfilter.engines.tin import ground as ground_tin
 from jaxfilter.engines.tin.facets import Rule, Verdict
 from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.engines.tin.growth import Vertices
+from jaxfilter.methods import ost
 
 
 @pytest.fixture(scope="module")
@@ -222,13 +223,15 @@ def test_sets_that_differ_in_the_last_threshold_are_classified_once(filter_, oth
 
 
 def test_a_sweep_of_ost_finds_out_once_what_no_swept_field_changes(hills, monkeypatch):
-    found, openings = [], jf.OST.drops
-    monkeypatch.setattr(jf.OST, "drops", lambda *arguments: found.append(1) or openings(*arguments))
-    axes = {"slope": [0.05, 0.1], "relief": [0.2, 0.6], "tolerance": [0.05, 0.1]}
+    low, openings = [], []
+    for found, name in ((low, "lowest_few"), (openings, "steepest_drops")):
+        step = getattr(ost, name)
+        monkeypatch.setattr(ost, name, lambda *given, step=step, found=found, **more: found.append(1) or step(*given, **more))
+    axes = {"slope": [0.05, 0.1], "roof_step": [0.3, 0.5], "landscape": [20.0, 30.0], "tolerance": [0.05, 0.1]}
     jf.sweep(jf.OST(window=15.0), hills, axes, workers=1)
-    assert len(found) == 1
-    jf.sweep(jf.OST(window=15.0), hills, {"void": [8.0, 20.0], "slope": [0.05, 0.1]}, workers=1)
-    assert len(found) == 3
+    assert len(low) == len(openings) == 1
+    jf.sweep(jf.OST(window=15.0), hills, {"rules": [(), ("voids",)], "slope": [0.05, 0.1]}, workers=1)
+    assert len(low) == len(openings) == 3
 
 
 def test_kernels_of_the_triangulation_run_on_the_processor_unless_a_device_was_chosen(hills, monkeypatch):

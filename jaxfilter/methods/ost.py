@@ -26,7 +26,7 @@ from ..steps.crowd import Crowd, spacing_of
 from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import landscape_slope
-from ..steps.objects import Parts, Roofs, roof_cells
+from ..steps.objects import Parts
 from ..steps.outliers import LOW_DEPTH, lowest_few
 from ..steps.pruning import Scatter, drop_vertices
 from ..steps.rules import RULES, Rule, Scene
@@ -125,7 +125,10 @@ class OST(Filter):
     )
     sensor: str = static("what the cloud is of", default=AIRBORNE, choices=KINDS)
     rules: tuple[str, ...] | None = static(
-        "rules that act besides the core, by name; None = those for the sensor", default=None, names=RULES, optional=True
+        "rules that act besides the core, by name; None = those for the sensor",
+        default=None,
+        names=RULES,
+        optional=True,
     )
     low_points: int = static(
         "a point is barred if this many others around it, or fewer, are as low; 0 = none is barred", ">= 0", default=30
@@ -220,7 +223,9 @@ class OST(Filter):
     def active(self) -> list[Rule]:
         """The rules that take their turn, in the order of :data:`jaxfilter.steps.rules.RULES`."""
         named = self.rules
-        return [rule for name, rule in RULES.items() if (self.sensor in rule.SENSORS if named is None else name in named)]
+        return [
+            rule for name, rule in RULES.items() if (self.sensor in rule.SENSORS if named is None else name in named)
+        ]
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         crowd, rules = Crowd.from_points(points), self.active()
@@ -297,21 +302,34 @@ class OST(Filter):
     def judge(self, scene: Scene, rules: list[Rule]) -> np.ndarray:
         """The slope of the landscape, and which cells are objects (steps 4 and 5); f32[rows, columns]: from which drop on cells
         are marked, metres per cell."""
-        drop, share = float(self.roof_drop), float(self.roof_drop_share)
-        roofs = Roofs(float(self.roof_share), drop, share, (2 * self.window) ** 2)
         objects = scene.steepest > np.float32(FIRST_SLOPE * self.cell)
         scene.back = scene.rock = np.zeros(objects.shape, bool)
         for _ in range(SLOPE_PASSES):
             scene.slope = landscape_slope(scene.z, scene.cells, objects, float(self.landscape))
             limit = np.float32(self.cell) * (np.float32(self.slope) + np.float32(self.relief) * scene.slope)
             scene.marked = scene.steepest > limit
-            scene.whole = roof_cells(scene.segments, scene.marked, scene.slope, roofs)
+            scene.whole = self.roofs(scene)
             for rule in rules:
                 rule.give_back(scene)
             objects = scene.objects
         for rule in rules:
             rule.judge(scene)
         return np.maximum(limit, np.float32(1e-6))
+
+    def roofs(self, scene: Scene) -> np.ndarray:
+        """bool[rows, columns]: cells of segments that are objects as a whole.
+
+        What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then
+        the edge counts as border along which nothing falls, as that of a plateau above a cliff. Nor does it fall on faces of what
+        is cut: headlands go on beyond the edge, and decks over a valley are seen with both ends.
+        """
+        segments, largest = scene.segments, (2 * self.window / self.cell) ** 2
+        found = segments.census(scene.slope, float(self.roof_drop), np.inf)
+        inside = np.bincount(segments.number[scene.marked], minlength=segments.last + 1)
+        falling = found.falling - np.where(found.edge > 0, found.faces, 0)
+        border = np.maximum(found.border + np.where(found.cells > largest, found.edge, 0), 1)
+        whole = (inside >= self.roof_share * found.cells) | (falling >= self.roof_drop_share * border)
+        return (whole & (found.cells > 0))[segments.number]
 
     def seed(self, scene: Scene, rules: list[Rule]) -> None:
         """The lowest points of cells that are no objects, and how near to the ground points join (steps 6 and 7)."""
@@ -347,9 +365,7 @@ class OST(Filter):
             progress(0.8, "prune")
             return self.pruned(scene, ground, crowd, rules)
 
-    def pruned(
-        self, scene: Scene, ground: GroundTin, crowd: Crowd | None, rules: list[Rule]
-    ) -> tuple[Labels, Scatter]:
+    def pruned(self, scene: Scene, ground: GroundTin, crowd: Crowd | None, rules: list[Rule]) -> tuple[Labels, Scatter]:
         """Vertices that stick out are dropped (step 8); the labels of all points, and how vertices scatter around them."""
         scatter, whole = Scatter.from_vertices(ground.tin), scene.points.cloud.whole
         spread = scatter.deviation(ground.tin) if whole is None or whole.scatter is None else whole.scatter

@@ -1,4 +1,4 @@
-"""Segments of a gridded surface, and which of them are objects as a whole: roofs, bridges, vehicles."""
+"""Segments of a gridded surface, and how far it falls at their borders."""
 
 from __future__ import annotations
 
@@ -66,38 +66,3 @@ class Parts:
 
         limits = np.float32(drop), 2 * np.float32(self.cell), np.float32(tall)
         return Census(*census(self.number, self.last, self.fall, self.walls, slope, self.inside, *limits))
-
-
-class Roofs(NamedTuple):
-    """When a segment is an object as a whole.
-
-    Attributes:
-        share: of its cells that are marked.
-        drop: metres that the surface falls by, within two cells of its border.
-        drop_share: of the cells on its border where it falls so.
-        largest: square metres of the largest building.
-    """
-
-    share: float
-    drop: float
-    drop_share: float
-    largest: float
-
-
-def roof_cells(segments: Parts, marked: np.ndarray, slope: np.ndarray, roofs: Roofs) -> np.ndarray:
-    """bool[rows, columns]: cells of segments that are objects as a whole.
-
-    What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then the
-    edge counts as border along which nothing falls, as that of a plateau above a cliff. Nor does it fall on faces of what is cut:
-    headlands go on beyond the edge, and decks over a valley are seen with both ends.
-
-    Args:
-        marked: bool[rows, columns], cells that openings take for objects.
-        slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
-    """
-    found = segments.census(slope, roofs.drop, np.inf)
-    inside = np.bincount(segments.number[marked], minlength=segments.last + 1)
-    falling = found.falling - np.where(found.edge > 0, found.faces, 0)
-    border = found.border + np.where(found.cells * segments.cell**2 > roofs.largest, found.edge, 0)
-    whole = (inside >= roofs.share * found.cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
-    return (whole & (found.cells > 0))[segments.number]

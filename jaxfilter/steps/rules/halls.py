@@ -33,7 +33,9 @@ class Halls(Rule):
         for group in (one, *(one.joined(scene.z, level * drop) for level in self.levels)):
             found = group.census(scene.slope, drop, self.tall)
             cut, hall = found.edge > 0, found.walls >= self.walls * found.border
-            falls = np.where(cut, hall & (found.border >= self.shown * found.edge), found.falling >= share * found.border)
+            falls = np.where(
+                cut, hall & (found.border >= self.shown * found.edge), found.falling >= share * found.border
+            )
             here = (falls & (found.border > 0))[group.number]
             number, size = group.number[here], group.last + 1
             level = one.number[here] > 0

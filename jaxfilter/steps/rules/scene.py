@@ -9,7 +9,6 @@ import numpy as np
 
 from ...core.filter import Labels
 from ...core.points import Points
-from ...core.water import WaterCells
 from ...engines.grid.inpaint import fill_nearest
 from ...engines.tin.ground import GroundTin
 from ...engines.tin.triangulation import Tin

@@ -43,7 +43,9 @@ class Steep(Rule):
         limits = (np.float32(limit) for limit in (ost.roof_step, self.smooth, 2 * ost.roof_step))
         high = highest_in(scene.points.xyz, scene.cells)
         cells, roofs, known, bare, border, walls = faces(part, count, scene.z, high, scene.seen, scene.whole, *limits)
-        rock = (2 * known >= cells) & (2 * bare >= known) & (roofs <= self.roofs * cells) & (walls <= self.walls * border)
+        rock = (
+            (2 * known >= cells) & (2 * bare >= known) & (roofs <= self.roofs * cells) & (walls <= self.walls * border)
+        )
         scene.rock = scene.rock | (rock & (cells > 0))[part]
         scene.back = scene.back | scene.rock
 

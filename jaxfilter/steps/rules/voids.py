@@ -31,12 +31,14 @@ class Voids(Rule):
         tin, cell = scene.tin, scene.ost.cell
         x, y = positions(tin.xyz, scene.cells)
         corner, limit = tin.triangles, max(self.edge, 4 * scene.spacing) / cell
-        side = (np.hypot(x[corner[:, k]] - x[corner[:, k - 1]], y[corner[:, k]] - y[corner[:, k - 1]]) for k in range(3))
+        side = (
+            np.hypot(x[corner[:, k]] - x[corner[:, k - 1]], y[corner[:, k]] - y[corner[:, k - 1]]) for k in range(3)
+        )
         over = (corner.min(axis=1) >= 0) & (np.maximum.reduce(list(side)) > limit)
         nodes, reach = np.unique(corner[over]), math.ceil(self.rim / cell - 1e-6)
         z, known = scene.z.copy(), scene.seen
         wide = np.pad(np.where(known, z, np.float32(np.inf)), reach, constant_values=np.inf)
-        row, column = (np.rint(at[nodes]).astype(int) for at in (y, x))
+        row, column = (np.minimum(np.rint(at[nodes]).astype(int), n - 1) for at, n in zip((y, x), z.shape, strict=True))
         beneath = tin.xyz[:, 2].copy()
         for i, j in itertools.product(range(2 * reach + 1), repeat=2):
             beneath[nodes] = np.minimum(beneath[nodes], wide[row + i, column + j])
