@@ -147,14 +147,15 @@ def steepest_drops(
 ) -> jax.Array:
     """Metres per cell of radius that progressive openings with radii of 1, 2, ... ``reach`` cells lower each cell by, at most.
 
-    Args and returns: f32[rows, columns], as for :func:`jaxfilter.engines.grid.morphology.progressive_opening`. ``most``: the
-    largest ``reach`` that this compilation serves.
+    Args and returns: [rows, columns], as for :func:`jaxfilter.engines.grid.morphology.progressive_opening`; drops are f32, in the
+    unit of ``z``. ``most``: the largest ``reach`` that this compilation serves.
     """
 
     def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
-        return jnp.maximum(steepest, (before - opened) / (k + 1).astype(z.dtype))
+        drop = before.astype(jnp.float32) - opened.astype(jnp.float32)
+        return jnp.maximum(steepest, drop / (k + 1).astype(jnp.float32))
 
-    radii, none = jnp.arange(1, most + 1), jnp.zeros_like(z)
+    radii, none = jnp.arange(1, most + 1), jnp.zeros(z.shape, jnp.float32)
     return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
 
 
