@@ -278,7 +278,7 @@ class OST(Filter):
         scene.tin = triangulated(points.xyz[scene.lowest], workers)
         scene.z, scene.inside = filled(scene.tin, scene.cells)
         for rule in rules:
-            rule.surface(scene)
+            rule.fill(scene)
         return scene
 
     def grid(self, scene: Scene) -> None:

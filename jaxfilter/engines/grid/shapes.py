@@ -248,70 +248,127 @@ def banks(segment, count, z, drop, steepest, further, smooth):
 
 
 @compiled
-def _nearer(here, first, second, drop, step, behind, out):
-    """``out``, f32[3, columns]: cells to the nearest edge on one side, its elevation, and how far it falls. A row without
-    branches, so that the processor takes several cells at a time. ``behind``: the same of the cells one step further out."""
+def _edges(here, first, second, drop, out):
+    """``out``, bool[columns]: whether the surface falls upright from f32 ``here`` to ``first``, and goes on to ``second``."""
     for c in range(len(here)):
         fall = here[c] - first[c]
-        edge = (fall > drop) & (first[c] - second[c] < fall / np.float32(3))
-        out[0, c] = np.float32(0) if edge else behind[0, c] + step
-        out[1, c] = here[c] if edge else behind[1, c]
-        out[2, c] = fall if edge else behind[2, c]
+        out[c] = (fall > drop) & (first[c] - second[c] < fall / np.float32(3))
 
 
 @compiled(allocates=True)
 def flanks(z, back, reach, drop):
-    """i32[rows, columns], f32[rows, columns] twice: along which of 8 lines, counted from 1 on, the surface falls upright on both
+    """i8[rows, columns], f32[rows, columns] twice: along which of 8 lines, counted from 1 on, the surface falls upright on both
     sides of a cell, 0 where along none; how many cells lie between these edges; and how many metres it falls at the lower one.
 
     It falls upright where it falls by more than ``drop`` within ``back`` cells, and in the next ones by less than a third of
-    that. The edge nearest to the cell counts on each side, if the surface is as high there, to ``drop`` / 2. Of several lines
-    that counts whose edges are nearest to each other, ``reach`` cells at most.
+    that. Edges count that have no other one between them, for cells that are as high as both, to ``drop`` / 2. Of several lines
+    that counts whose edges are nearest to each other, ``reach`` cells at most. Beyond the grid nothing is known.
 
     Args:
         z: f32[rows, columns], metres. back, reach: cells. drop: metres.
     """
-    rows, columns = z.shape
-    across, width = np.zeros(z.shape, np.int32), np.full(z.shape, np.float32(reach))
-    fall, pad = np.zeros(z.shape, np.float32), 2 * back + 2
-    wide = np.full((rows + 2 * pad, columns + 2 * pad), np.float32(np.inf))
-    for row in range(rows):  # Numba takes seconds to compile one assignment to this part
-        for column in range(columns):
+    pad = 2 * back
+    rows, columns = z.shape[0] + 2 * pad, z.shape[1] + 2 * pad
+    wide = np.full((rows, columns), np.float32(np.inf))
+    for row in range(z.shape[0]):  # Numba takes seconds to compile one assignment to this part
+        for column in range(z.shape[1]):
             wide[row + pad, column + pad] = z[row, column]
-    half = np.float32(drop / 2)
-    edges = np.zeros((2, rows + 4, 3, columns + 4), np.float32)  # of both sides, with two cells around
-    edges[:, :, 0] = np.inf
+    across, width = np.zeros(wide.shape, np.int8), np.full(wide.shape, np.float32(reach))
+    fall, half = np.zeros(wide.shape, np.float32), np.float32(drop / 2)
+    edges = np.zeros((2, rows, columns), np.bool_)  # towards lower rows, and towards higher ones
     for turn in range(8):
         dy = (0, 1, 1, 2, 1, 2, 1, 1)[turn]
         dx = (1, 2, 1, 1, 0, -1, -1, -2)[turn]
         step = np.float32(np.sqrt(dy * dy + dx * dx))
         far = max(1, int(np.rint(back / step)))
-        for side in range(2):
-            sign = 2 * side - 1  # of the way out
-            fy, fx = sign * far * dy, pad + sign * far * dx
-            gx, c = 2 * fx - pad, 2 + sign * dx
-            for i in range(rows):
-                row = rows - 1 - i if side else i
-                here, out = wide[row + pad, pad : pad + columns], edges[side, row + 2, :, 2 : 2 + columns]
-                first = wide[row + pad + fy, fx : fx + columns]
-                second = wide[row + pad + 2 * fy, gx : gx + columns]
-                behind = edges[side, row + 2 + sign * dy, :, c : c + columns]
-                if dy:
-                    _nearer(here, first, second, drop, step, behind, out)
-                else:  # one cell of the row after the other
-                    for j in range(columns):
-                        k = columns - 1 - j if side else j
-                        lower = here[k] - first[k]
-                        edge = lower > drop and first[k] - second[k] < lower / np.float32(3)
-                        out[0, k] = np.float32(0) if edge else behind[0, k] + step
-                        out[1, k] = here[k] if edge else behind[1, k]
-                        out[2, k] = lower if edge else behind[2, k]
-                if side:
-                    other = edges[0, row + 2, :, 2 : 2 + columns]
-                    for k in range(columns):
-                        total = other[0, k] + out[0, k] + 1
-                        apart = max(abs(other[1, k] - here[k]), abs(out[1, k] - here[k]))
-                        if total < width[row, k] and apart < half:
-                            across[row, k], width[row, k] = turn + 1, total
-                            fall[row, k] = min(other[2, k], out[2, k])
-    return across, width, fall
+        fy, fx = far * dy, far * dx
+        west, east = max(0, 2 * fx), columns + min(0, 2 * fx)
+        edges[:] = False
+        if rows <= 2 * fy or east <= west:
+            continue
+        for row in range(2 * fy, rows):
+            high, low = wide[row, west:east], wide[row - 2 * fy, west - 2 * fx : east - 2 * fx]
+            middle = wide[row - fy, west - fx : east - fx]
+            _edges(high, middle, low, drop, edges[0, row, west:east])
+            _edges(low, middle, high, drop, edges[1, row - 2 * fy, west - 2 * fx : east - 2 * fx])
+        for row in range(pad, rows - pad):
+            for column in range(pad, columns - pad):
+                if not edges[0, row, column]:
+                    continue
+                level, cells, r, c = wide[row, column], np.float32(1), row, column
+                while cells < reach and wide[r, c] < np.inf and not edges[1, r, c]:
+                    cells, r, c = cells + step, r + dy, c + dx
+                    if edges[0, r, c] and not edges[1, r, c]:  # it is nearer to all that is beyond
+                        break
+                if cells >= reach or not edges[1, r, c]:
+                    continue
+                end, last = wide[r, c], (r, c)
+                falls = level - wide[row - fy, column - fx], end - wide[r + fy, c + fx]
+                while r >= row and (dy > 0 or c >= column):
+                    apart = max(abs(level - wide[r, c]), abs(end - wide[r, c]))
+                    if cells < width[r, c] and apart < half:
+                        across[r, c], width[r, c], fall[r, c] = turn + 1, cells, min(falls[0], falls[1])
+                    r, c = r - dy, c - dx
+                for side in range(2):  # an edge may be several cells wide
+                    sign, out, other = 2 * side - 1, cells + step, level if side else end
+                    r, c = (last[0] + dy, last[1] + dx) if side else (row - dy, column - dx)
+                    while edges[side, r, c]:
+                        here = wide[r, c]
+                        if out < width[r, c] and abs(here - other) < half:
+                            own = here - wide[r + sign * fy, c + sign * fx]
+                            across[r, c], width[r, c], fall[r, c] = turn + 1, out, min(own, falls[1 - side])
+                        out, r, c = out + step, r + sign * dy, c + sign * dx
+    inner = slice(pad, rows - pad), slice(pad, columns - pad)
+    return across[inner], width[inner], fall[inner]
+
+
+@compiled(allocates=True)
+def levels(z, half, most):
+    """f32[rows, columns]: the mean of the (2 ``half`` + 1)² cells around each cell whose highest is less than f32 ``most`` above
+    the lowest, NaN for all others. ``z``: f32[rows, columns], metres; cells where it is infinite count nowhere."""
+    rows, columns = z.shape
+    mean = np.full(z.shape, np.float32(np.nan))
+    low, high, total, cells = np.zeros((4, columns), np.float32)
+    for row in range(rows):
+        low[:], high[:], total[:], cells[:] = np.inf, -np.inf, 0, 0
+        for r in range(max(row - half, 0), min(row + half + 1, rows)):
+            for c in range(columns):
+                here, known = z[r, c], z[r, c] < np.inf
+                low[c], high[c] = min(low[c], here), max(high[c], here if known else -here)
+                total[c], cells[c] = total[c] + (here if known else np.float32(0)), cells[c] + known
+        for column in range(columns):
+            if z[row, column] < np.inf and high[column] - low[column] < most:
+                bottom, top, sum, n = low[column], high[column], np.float64(0), np.float32(0)
+                for c in range(max(column - half, 0), min(column + half + 1, columns)):
+                    bottom, top = min(bottom, low[c]), max(top, high[c])
+                    sum, n = sum + total[c], n + cells[c]
+                if top - bottom < most:
+                    mean[row, column] = sum / n
+    return mean
+
+
+@compiled(allocates=True)
+def rims(segment, count, level, z, weight, away, rise):
+    """f64[3, 1 + count]: for each segment the number of cells that are ``away`` cells from it, straight out; of those that are
+    higher than its ``level`` by more than f32 ``rise``, less those that are lower by as much; and the sum of their ``weight``.
+
+    Args:
+        segment: i32[rows, columns], from :func:`segments`. level, z: f32[rows, columns], metres, ``z`` infinite where not known.
+        weight: [rows, columns].
+    """
+    rows, columns = segment.shape
+    found = np.zeros((3, count + 1))
+    for row in range(rows):
+        for column in range(columns):
+            name = segment[row, column]
+            for side in range(4 if name > 0 else 0):
+                dy, dx = (side == 0) - (side == 1), (side == 2) - (side == 3)
+                r, c = row + away * dy, column + away * dx
+                if r < 0 or r >= rows or c < 0 or c >= columns or segment[row + dy, column + dx] == name:
+                    continue
+                if segment[r, c] != name and z[r, c] < np.inf:
+                    found[0, name] += 1
+                    higher = z[r, c] - level[row, column]
+                    found[1, name] += (higher > rise) - (higher < -rise)
+                    found[2, name] += weight[r, c]
+    return found

@@ -1,50 +1,254 @@
-"""Water and bridge decks: what crosses the ground, or covers it."""
+"""Water, and bridge decks: surfaces that are level and lie lower than the land, and those that fall upright on both flanks."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+import math
+from collections.abc import Iterator
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy
 
 from ...core.filter import Labels
 from ...core.water import WaterCells
-from ...engines.grid.inpaint import fill_nearest
-from ..decks import decks
+from ...engines.grid.extremes import highest, lowest
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import look_up, number_in
-from ..voids import lower_voids
-from ..water import AFLOAT, SURFACE, waters
 from .scene import Rule, Scene
+
+_BLOCK = 16
+"""Cells along a side of the squares by which cells are grouped; it changes no result."""
+_HALF = 2
+"""Cells on each side of one whose surroundings must be level."""
+
+
+class Surface(NamedTuple):
+    """A grid of lowest points.
+
+    Attributes:
+        z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points; inside: those that the data
+            surround; objects: those that are none of the ground.
+        points: i64[rows, columns], how many are in each cell.
+    """
+
+    z: np.ndarray
+    seen: np.ndarray
+    inside: np.ndarray
+    objects: np.ndarray
+    points: np.ndarray
+
+
+class Sizes(NamedTuple):
+    """Metres: side of a cell, ``spacing`` of the points, the ``widest`` deck, ``step`` between cells of one surface, ``drop`` at
+    the flanks of a deck; and square metres of the smallest ``area`` of a deck and of the land at its ends."""
+
+    cell: float
+    spacing: float
+    widest: float
+    step: float
+    drop: float
+    area: float
+
+
+class Crossed(NamedTuple):
+    """Bridge decks, and water.
+
+    Attributes:
+        deck: f32[rows, columns], elevations of decks, metres, NaN where there is none.
+        level: f32[rows, columns], those of the surface of water, also below what stands on it; clear: NaN at the shore, too.
+    """
+
+    deck: np.ndarray
+    level: np.ndarray
+    clear: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
 class Crossings(Rule):
+    """Where water and bridge decks are in a grid of lowest points.
+
+    A **deck** lies between two upright edges on a line across. Its cells, which differ by less than a step from one to the next,
+    are judged together: at both ends the surface goes on to land without a fall, or at one and the border of the data cuts the
+    other. So roofs, which fall all around, are none, nor are headlands, jetties and terraces.
+
+    **Water** is a segment of level cells that has returned fewer of the pulses than the land, or that is large and very level;
+    nearly all around it the surface is higher. So level meadows, which end at ditches, are none, nor are roofs, nor car parks,
+    which slope, nor courts, which are small.
+    """
+
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
+    gap: float = 1.5
+    """Point spacings within which the surface falls at an upright edge; two cells at least. Voids are wider than twice that."""
+    fall: float = 1 / 3
+    """Of ``drop``, by which an edge falls at least: a fall takes three cells. The land joins a deck by less."""
+    near: float = 4.0
+    """Metres from where a deck falls by ``drop`` within which smaller edges count: there it comes down to the land. It is at
+    least as long."""
+    ends: float = 0.3
+    """Of the width of a deck that joins the land at each of its ends, at least: cars and plants stand there."""
+    steady: float = 0.5
+    """How alike the lines across a deck are, at least: 1 if all are the same."""
+    surface: float = 0.15
+    """Metres from the level of water up to which points are its surface: noise of 5 cm, three times. From twice as much on they
+    are no ground."""
+    pond: float = 100.0
+    """Square metres of a water body without its shore, at least."""
+    lake: float = 1000.0
+    """The same of one that has as many points as land. Courts can be as level, but not as large."""
+    thin: float = 0.5
+    """Of the points on a cell of land beside it that a body with few points has on one."""
+    river: float = 0.001
+    """Rise over run that a body with few points may have along its course: 1 m in 1 km."""
+    rim: int = 4
+    """Cells from a body up to which its shore is looked for, and half the width of what stands on it."""
+    higher: float = 0.5
+    """Of the rim of a body that is higher than its surface, less what is lower, at least."""
 
     def seed(self, scene: Scene) -> None:
-        ost, objects, inside = scene.ost, scene.objects, scene.inside
-        edge = ~scipy.ndimage.binary_erosion(inside, iterations=3)
-        rows, columns = objects.shape
-        near = np.asarray(fill_nearest(scene.cells.lowest, scene.cells.seen, scene.cells.valid))[:rows, :columns]
-        z = np.where(edge & ~scene.seen, near, scene.z)
-        z = lower_voids(z, scene.seen | ~inside, ost.cell, scene.spacing)
-        deck = decks(z, objects, inside, (ost.cell, scene.spacing, float(ost.roof_step), 2 * ost.window))
-        others = objects & np.isnan(deck)
-        level, apart = waters(z, inside & np.isnan(deck), number_in(scene.points, scene.cells), others, ost.cell)
-        scene.found = deck, level
-        xyz = scene.points.xyz
-        d, c = look_up(xyz, scene.cells, deck, np.where(apart, level, np.float32(np.nan)))
-        scene.never = scene.never | (xyz[:, 2] > d - np.float32(ost.roof_step)) | (np.abs(xyz[:, 2] - c) > AFLOAT)
+        """What is at a deck or above, and what is above or below water, but at its shore, is never ground."""
+        ost, xyz = scene.ost, scene.points.xyz
+        surface = Surface(scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells))
+        step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
+        scene.deck, scene.level, clear = self.find(surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area))
+        deck, level = look_up(xyz, scene.cells, scene.deck, clear)
+        scene.never |= (xyz[:, 2] > deck - np.float32(step)) | (np.abs(xyz[:, 2] - level) > 2 * self.surface)
         scene.seeds = scene.seeds[~scene.never[scene.seeds]]
 
     def label(self, scene: Scene, labels: Labels) -> None:
-        z = scene.points.xyz[:, 2]
-        deck, level = look_up(scene.points.xyz, scene.cells, *scene.found)
-        labels.deck = ~labels.ground & (np.abs(z - deck) < np.float32(scene.ost.roof_step))
-        labels.water = labels.ground & (np.abs(z - level) < SURFACE)
-        if not np.isnan(scene.found[1]).all():
-            grid = scene.cells.grid
-            x, y, side = (float(v) for v in (grid.x0, grid.y0, grid.cell))
-            labels.water_cells = WaterCells.from_levels(scene.points.cloud, scene.found[1], (x, y), side)
+        """Points of decks and of the surface of water are marked."""
+        xyz, cloud, grid = scene.points.xyz, scene.points.cloud, scene.cells.grid
+        deck, level = look_up(xyz, scene.cells, scene.deck, scene.level)
+        labels.deck = ~labels.ground & (np.abs(xyz[:, 2] - deck) < np.float32(scene.ost.roof_step))
+        labels.water = labels.ground & (np.abs(xyz[:, 2] - level) < self.surface)
+        if not np.isnan(scene.level).all():
+            labels.water_cells = WaterCells.from_levels(cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell))
+
+    def find(self, surface: Surface, sizes: Sizes) -> Crossed:
+        """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
+        body are judged as a whole."""
+        z, seen, inside, objects, points = surface
+        gap = max(2, math.ceil(self.gap * sizes.spacing / sizes.cell))
+        z = np.where(inside, z, np.float32(np.inf))
+        edge = inside & ~(seen | lowest(inside, 2 * gap + 1, outside=False))  # where slim triangles go on to anywhere
+        around = np.pad(np.where(seen, z, np.float32(np.inf)), gap, constant_values=np.inf)
+        around = np.lib.stride_tricks.sliding_window_view(around, (2 * gap + 1, 2 * gap + 1))[edge]
+        around = around.reshape(len(around), (2 * gap + 1) ** 2)
+        away = np.hypot(*np.mgrid[-gap : gap + 1, -gap : gap + 1]).ravel()
+        nearest = np.where(np.isinf(around), np.inf, away).argmin(axis=1)
+        z[edge] = around[np.arange(len(around)), nearest]
+        void = ~lowest(highest(seen | ~inside, 2 * gap + 1, outside=True), 2 * gap + 1)
+        reach = round(sizes.widest / 2 / sizes.cell)
+        for box, own in _groups(void, reach):  # water is below what is around it
+            z[box] = np.where(own, lowest(z[box], 2 * reach + 1), z[box])
+        deck = self._decks(z, objects, gap, sizes)
+        z[~np.isnan(deck)] = np.inf
+        return Crossed(deck, *self._waters(z, objects & np.isnan(deck), points, sizes.cell))
+
+    def _decks(self, z: np.ndarray, objects: np.ndarray, gap: int, sizes: Sizes) -> np.ndarray:
+        """f32[rows, columns]: elevation of decks, NaN elsewhere. ``z``: infinite where it is not known; ``gap``: cells.
+
+        Cells beside a deck whose lowest point is beneath it hold points of its edge, and have its elevation.
+        """
+        from ...engines.grid.shapes import flanks, segments  # imports Numba
+
+        low, cell, deck = np.float32(self.fall * sizes.drop), sizes.cell, np.full(z.shape, np.nan, np.float32)
+        across, width, fall = flanks(z, gap, np.float32(sizes.widest / cell), low)
+        high = fall > sizes.drop
+        on = (across > 0) & highest(high, 2 * round(self.near / cell) + 1)
+        part, count = segments(np.where(on, z, np.float32(np.nan)), np.float32(sizes.step), sizes.area / cell**2)
+        row, column = np.nonzero(part > 0)
+        name = part[row, column]
+
+        def total(values: np.ndarray) -> np.ndarray:
+            return np.bincount(name, values, count + 1)
+
+        cells, turn = np.maximum(total(np.ones(len(name))), 1), np.pi / 4 * (across[row, column] - 1)
+        sine, cosine = total(np.sin(turn)), total(np.cos(turn))  # of twice the angle, since a line has no sense
+        wide = total(width[row, column]) / cells
+        good = (np.hypot(sine, cosine) >= self.steady * cells) & (cells * cell >= self.near * wide)
+        good &= 2 * total(high[row, column]) >= cells
+        joins, cut = np.zeros(z.shape, bool), highest(np.isinf(z), 2 * gap + 3, outside=True)
+        for box, own in _groups(_at(z.shape, row, column, good[name]), round(sizes.widest / 2 / cell)):
+            rest, many = segments(np.where(part[box] > 0, np.float32(np.nan), z[box]), low, 1)
+            land = np.bincount(rest[~objects[box] & np.isfinite(z[box])], minlength=many + 1) * cell**2 > sizes.area
+            land[0] = False
+            land = np.pad(np.where(land[rest], z[box], np.float32(np.nan)), 1, constant_values=np.nan)
+            for beside in (land[:-2, 1:-1], land[2:, 1:-1], land[1:-1, :-2], land[1:-1, 2:]):
+                joins[box] |= own & (np.abs(beside - z[box]) < low)
+        axis = (np.arctan2(sine, cosine) + np.pi) / 2
+        along = row * np.sin(axis)[name] + column * np.cos(axis)[name]
+        ahead = along > (total(along) / cells)[name]
+        ends = [[total(what[row, column] & side) / (wide + 2) for side in (ahead, ~ahead)] for what in (joins, cut)]
+        join, border = (np.array(both) for both in ends)
+        met = (join >= self.ends) | ((border >= self.ends) & (join[::-1] >= self.ends))
+        good &= met.all(axis=0)
+        for box, own in _groups(_at(z.shape, row, column, good[name]), 1):
+            beside = highest(np.where(own, z[box], np.float32(-np.inf)), 3)
+            deck[box] = np.where(own, z[box], np.where(beside - z[box] > low, beside, deck[box]))
+        return deck
+
+    def _waters(
+        self, z: np.ndarray, objects: np.ndarray, points: np.ndarray, cell: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Elevations of water, and of water without the shore: f32[rows, columns], NaN elsewhere. ``z``: infinite where it is not
+        known, and at decks."""
+        from ...engines.grid.shapes import levels, rims, segments
+
+        out = np.full((2, *z.shape), np.nan, np.float32)
+        mean = levels(z, _HALF, np.float32(2 * self.surface))
+        body, count = segments(mean, np.float32(self.surface / 6), self.pond / cell**2)
+        row, column = np.nonzero(body > 0)
+        name = body[row, column]
+
+        def average(values: np.ndarray) -> np.ndarray:
+            return np.bincount(name, values, count + 1) / cells
+
+        cells = np.maximum(np.bincount(name, minlength=count + 1), 1)
+        spread, extent = np.zeros((2, count + 1))
+        for values, sum in ((mean[row, column].astype(np.float64), spread), (row, extent), (column, extent)):
+            sum += average((values - average(values)[name]) ** 2)
+        edge, higher, beside = rims(body, count, mean, z, points, _HALF + self.rim, np.float32(self.surface))
+        thin = average(points[row, column]) * edge < self.thin * beside
+        rough, most = np.sqrt(spread), np.maximum(self.surface, self.river * cell * np.sqrt(extent))
+        wet = (thin & (rough <= most)) | ((cells * cell**2 >= self.lake) & (rough <= self.surface / 6))
+        wet &= (edge > 0) & (higher >= self.higher * edge)
+        wet[0] = False
+        size = 2 * self.rim + 1
+        for box, own in _groups(_at(z.shape, row, column, wet[name]), 3 * self.rim + _HALF):
+            level = _mean(mean[box], own, 4 * self.rim + 1)
+            flat = own | (np.abs(z[box] - level) < self.surface)
+            flat = scipy.ndimage.binary_propagation(own, mask=flat)  # without crumbs of the shore
+            afloat = lowest(highest(flat, size), size) & objects[box]
+            wide = flat | afloat
+            for found, there in zip(out[(slice(None), *box)], (wide, afloat | lowest(wide, 3)), strict=True):
+                found[there] = level[there]
+        return out[0], out[1]
+
+
+def _groups(mask: np.ndarray, margin: int) -> Iterator[tuple[tuple[slice, ...], np.ndarray]]:
+    """Slices of rows and columns around each group of the cells of ``mask``, bool[rows, columns], and ``margin`` more; and
+    bool, the cells of the group. Groups are further apart than a square of :data:`_BLOCK` cells."""
+    row, column = (at // _BLOCK for at in np.nonzero(mask))
+    some = np.zeros([n // _BLOCK + 1 for n in mask.shape], bool)
+    some[row, column] = True
+    group, _ = scipy.ndimage.label(some, np.ones((3, 3)))
+    for number, blocks in enumerate(scipy.ndimage.find_objects(group), 1):
+        box = tuple(slice(max(one.start * _BLOCK - margin, 0), one.stop * _BLOCK + margin) for one in blocks)
+        down, right = (np.arange(n)[one] // _BLOCK for n, one in zip(mask.shape, box, strict=True))
+        yield box, mask[box] & (group[np.ix_(down, right)] == number)
+
+
+def _at(shape: tuple[int, ...], row: np.ndarray, column: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """bool of a ``shape``: the cells that ``which``, bool[n], says of those at ``row`` and ``column``, i64[n]."""
+    out = np.zeros(shape, bool)
+    out[row[which], column[which]] = True
+    return out
+
+
+def _mean(z: np.ndarray, on: np.ndarray, size: int) -> np.ndarray:
+    """f32[rows, columns]: the mean of ``z`` over the cells of a square window that are ``on``, NaN without any."""
+    share = scipy.ndimage.uniform_filter(on.astype(np.float64), size, mode="constant")
+    total = scipy.ndimage.uniform_filter(np.where(on, z, 0).astype(np.float64), size, mode="constant")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(share > 0.5 / size**2, total / share, np.nan).astype(np.float32)

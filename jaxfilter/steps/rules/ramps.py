@@ -25,7 +25,7 @@ class Ramps(Rule):
 
     def seed(self, scene: Scene) -> None:
         seeds, xyz = scene.seeds, scene.points.xyz
-        near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen, border_value=1)
+        near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen)
         suspect = look_up(xyz[seeds], scene.cells, near)[0]
         suspect[suspect] = rising(xyz, seeds[suspect], seeds, self.beside, self.steep)
         scene.seeds = seeds[~suspect]

@@ -33,6 +33,7 @@ class Scene:
         slope: f32, rise over run of the landscape around each cell.
         marked: bool, cells that openings take for objects. whole: bool, cells of segments that are objects as a whole.
         back: bool, cells of these that are ground all the same. rock: bool, steep ones among them.
+        deck, level: f32, elevations of bridge decks and of water, metres, NaN elsewhere; known to the rule for crossings alone.
         seeds: i64, rows of the first ground. never: bool[m], points that may not become ground.
         distance: f32[m], metres from the plane of a facet within which a point joins.
     """
@@ -54,6 +55,8 @@ class Scene:
     whole: np.ndarray = dataclasses.field(init=False)
     back: np.ndarray = dataclasses.field(init=False)
     rock: np.ndarray = dataclasses.field(init=False)
+    deck: np.ndarray = dataclasses.field(init=False)
+    level: np.ndarray = dataclasses.field(init=False)
     seeds: np.ndarray = dataclasses.field(init=False)
     never: np.ndarray = dataclasses.field(init=False)
     distance: np.ndarray = dataclasses.field(init=False)
@@ -84,7 +87,7 @@ class Rule:
     def bar(self, scene: Scene) -> None:
         """After low points: change ``low`` or ``plants``."""
 
-    def surface(self, scene: Scene) -> None:
+    def fill(self, scene: Scene) -> None:
         """After the surface: change ``z``."""
 
     def give_back(self, scene: Scene) -> None:

@@ -25,7 +25,7 @@ class Voids(Rule):
     rim: float = 4.0
     """Metres around a corner within which the lowest cell counts."""
 
-    def surface(self, scene: Scene) -> None:
+    def fill(self, scene: Scene) -> None:
         from ...engines.grid.shapes import draw  # imports Numba
 
         tin, cell = scene.tin, scene.ost.cell
