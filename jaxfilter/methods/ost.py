@@ -22,16 +22,17 @@ from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
-from ..steps.crowd import Crowd, spacing_of
+from ..steps.crowd import Crowd
 from ..steps.doubt import doubts
-from ..steps.ground_rules import AngleRule, HeightRule
+from ..steps.ground_rules import STEEPEST, AngleRule, HeightRule
 from ..steps.landscape import landscape_slope
 from ..steps.objects import Parts
 from ..steps.outliers import LOW_DEPTH, lowest_few
 from ..steps.pruning import Scatter, drop_vertices
 from ..steps.rules import RULES, Rule, Scene
+from ..steps.rules.plants import sides_of
 from ..steps.rules.scene import filled, grid_of
-from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, SensorFacts
+from ..steps.sensors import AIRBORNE, KINDS, MATCHING, MOBILE, SensorFacts
 from ..steps.surfaces import cell_for, look_up, steepest_drops
 from .papers import bibtex
 
@@ -41,27 +42,15 @@ FIRST_SLOPE = 0.15
 """That fixed slope, rise over run."""
 LEVEL = 1 / 128
 """Metres: steps of elevation in openings. A power of two, so that tiles of a survey have the same."""
-LOW_SPACINGS = 8.0
-"""They are counted within the radius of the largest building, and of so many point spacings at least."""
-MAX_TOLERANCE = 0.3
-"""The tolerance does not grow beyond this, metres."""
-STEEPEST_ANGLE = 80.0
-"""Degrees that the largest angle counts as at most where points lie outside the hull of the ground."""
+LOW_SHARE, LEAST_LOW = 0.02, 2
+"""Few are at most this share of the points that a disk of this radius holds, or so many if those are fewer."""
 TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
+SHEET_TOLERANCE = 6.0
+"""The tolerance in terms of the thickness of the sheet, but of lidar from the air: the lowest of 100 points lies 2.5 below its
+middle, the highest above."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
-SHEET_TOLERANCE = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
-"""The tolerance in terms of the thickness of the sheet: the lowest of 100 points lies 2.5 below its middle, the highest above.
-Errors of photographs are mostly shared by neighbours."""
-THINNEST = 0.03
-"""Metres that it is at least: terrain is rough."""
-MATCHED_ROUNDS = 3
-"""Of densification, which climbs the ramps that photographs make of walls."""
-CLUSTER = 2.0
-"""Square metres that few points around a low one cover in dense clouds."""
-TILTS = (0.1, 1.0)
-"""Least and largest tolerance per slope of the facet, metres."""
 
 
 @filter_params
@@ -96,7 +85,7 @@ class OST(Filter):
     Rock over a void beside steep terrain is ground as well, though the triangulation does not hold it
     (:mod:`jaxfilter.steps.overhangs`).
 
-    Of more than 30 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
+    Of more than 32 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.
 
     Of lidar from the air, points of bridge decks are marked as ``deck`` and never become ground, nor does what stands on water;
@@ -155,7 +144,7 @@ class OST(Filter):
         "ground is at most this far above or below the triangulation of the seeds", ">= 0 m", default=0.09
     )
     tolerance_spacing: float = param(
-        "the tolerance grows by this per metre of point spacing, up to 0.3 m", ">= 0 m/m", default=0.2
+        "the tolerance grows by this per metre of point spacing, up to 1 m", ">= 0 m/m", default=0.2
     )
     scaling: float = param(
         "the tolerance grows by this times the spacing and the slope of the facet", ">= 0 m/m", default=1.0
@@ -194,9 +183,12 @@ class OST(Filter):
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        """The spacing itself, to which tolerances are fitted, and a cell of a quarter of it, 1 m at least."""
+        """The spacing itself, to which tolerances are fitted, a cell of a quarter of it, 1 m at least, and fewer low points where
+        points are few."""
         own = {} if largest_building is None else {"window": largest_building / 2}
-        return own | {"spacing": spacing, "cell": cell_for(spacing, 1 / 4)}
+        held = math.pi * (own.get("window", cls.window) / spacing) ** 2
+        few = max(LEAST_LOW, min(cls.low_points, round(LOW_SHARE * held)))
+        return own | {"spacing": spacing, "cell": cell_for(spacing, 1 / 4), "low_points": few}
 
     @classmethod
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
@@ -204,11 +196,9 @@ class OST(Filter):
         voids of photographs and of scans from a car are no water at which roofs end."""
         kind, thickness, sparse = SensorFacts.from_points(points)
         own = super().from_points(points, largest_building) | {"sensor": kind}
-        sheet = max(SHEET_TOLERANCE[kind] * thickness, THINNEST)
-        if kind in (MATCHING, DRONE):
-            own["low_points"] = max(cls.low_points, round(CLUSTER / spacing_of(points) ** 2))
+        sheet = SHEET_TOLERANCE * thickness
         if kind == MATCHING:
-            own |= {"tolerance": max(cls.tolerance, sheet), "noise": max(cls.noise, sheet), "rounds": MATCHED_ROUNDS}
+            own |= {"tolerance": max(cls.tolerance, sheet), "noise": max(cls.noise, sheet)}
         elif kind != AIRBORNE:
             own |= {"tolerance": sheet, "tolerance_spacing": 0.0, "noise": sheet}
         return own | ({"spacing": sparse} if kind == MOBILE else {})
@@ -220,7 +210,7 @@ class OST(Filter):
 
     def lattice(self) -> float:
         """The cells, and whole ones of those that plants are looked for in, where the spacing is given."""
-        return period(self.cell, max(self.cell, cell_for(self.spacing or 0.0, 2.0)))
+        return period(self.cell, sides_of(self.cell, self.spacing or 0.0, self.window)[-1])
 
     def active(self) -> list[Rule]:
         """The rules that take their turn, in the order of :data:`jaxfilter.steps.rules.RULES`."""
@@ -266,13 +256,13 @@ class OST(Filter):
         """Low points, the lowest point of each cell, and the surface through these (steps 1 and 2)."""
         spacing, rules = points.spacing() if self.spacing is None else self.spacing, self.active()
         scene = Scene(self, points, spacing)
-        radius = max(float(self.window), LOW_SPACINGS * points.spacing())
-        scene.low, scene.plants = lowest_few(points, radius, LOW_DEPTH, self.low_points), np.zeros(len(points), bool)
+        scene.low = lowest_few(points, float(self.window), LOW_DEPTH, self.low_points)
+        scene.plants = scene.veil = np.zeros(len(points), bool)
         for rule in rules:
             rule.bar(scene)
         self.grid(scene)
         if not has_area(points.xyz[scene.lowest]):  # a cloud of a few cells
-            scene.low = np.zeros(len(points), bool)
+            scene.low = scene.veil = np.zeros(len(points), bool)
             self.grid(scene)
             scene.lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         scene.tin = triangulated(points.xyz[scene.lowest], workers)
@@ -285,7 +275,9 @@ class OST(Filter):
         """Cells, and the points that are lowest in theirs."""
         scene.cells = grid_of(scene, self.cell)
         xyz = scene.points.xyz
-        scene.lowest = np.flatnonzero((xyz[:, 2] == look_up(xyz, scene.cells, scene.cells.lowest)[0]) & ~scene.low)
+        scene.lowest = np.flatnonzero(
+            (xyz[:, 2] == look_up(xyz, scene.cells, scene.cells.lowest)[0]) & ~(scene.low | scene.veil)
+        )
 
     @stage
     def drops(self, points: Points, scene: Scene) -> np.ndarray:
@@ -356,8 +348,8 @@ class OST(Filter):
         points, spacing, never = scene.points, scene.spacing, scene.low | scene.never
         height, slope = self.tolerated(spacing), look_up(scene.points.xyz, scene.cells, scene.slope)[0]
         angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * slope
-        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST_ANGLE))))
-        first = HeightRule(height, min(max(self.scaling * spacing, TILTS[0]), TILTS[1]))
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        first = HeightRule(height, max(self.scaling * min(spacing, 1.0), self.noise))
         growth = Growth(first, vertices=Vertices(sinks=False), beyond=beyond, kept=("margin", "height", "slope"))
         network = one_network(points, scene.seeds, np.zeros((0, 2)), Outliers(scene.low, np.zeros_like(scene.low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
@@ -391,7 +383,7 @@ class OST(Filter):
 
     def tolerated(self, spacing: float) -> float:
         """Metres from the triangulation up to which points are ground, t."""
-        return float(min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE))
+        return float(self.tolerance + self.tolerance_spacing * min(spacing, 1.0))
 
 
 @of_scene.register(OST)

@@ -11,17 +11,11 @@ from ..core.filter import Labels
 from ..core.points import Points, has_area
 from ..engines.tin.ground import GroundTin
 
-DENSE = 30**-0.5
-"""Metres between points below which there are more than thirty per square metre."""
 _SIDE = 0.25
-"""Metres: the squares for which a point stands. As a power of two of the quantum it holds points that follow each other."""
+"""Metres: the squares for which a point stands, where they hold two or more in the mean. As a power of two of the quantum it
+holds points that follow each other."""
 _SHEET = 0.2
 """Metres that the lowest sheet of a square is thick at most: noise of a few centimetres, upward and downward."""
-
-
-def spacing_of(points: Points) -> float:
-    """Metres between those that stand for all."""
-    return points.spacing() if points.spacing() >= DENSE else _SIDE
 
 
 class Crowd(NamedTuple):
@@ -44,7 +38,7 @@ class Crowd(NamedTuple):
 
         Squares count from the anchor, so tiles of a survey have the same.
         """
-        if points.spacing() >= DENSE:
+        if 2 * points.spacing() ** 2 >= _SIDE**2:
             return None
         from ..engines.sheets import middles  # imports Numba
 

@@ -11,8 +11,9 @@ import numpy as np
 from ..core.result import Decision
 from ..engines.tin.facets import FacetScore, Verdict
 
-_STEEPEST = 80.0
-"""Degrees that facets are taken to slope at most: a wall of points is in the plane of a slim facet that stands upright."""
+STEEPEST = 80.0
+"""Degrees that facets, and ways to the hull, are taken to slope at most: a wall of points is in the plane of a slim facet that
+stands upright."""
 _LEAST = 1e-6
 """Metres beyond the limit, at least, of a point that does not join."""
 
@@ -52,7 +53,7 @@ class AngleRule(NamedTuple):
 
     def verdict(self, s: FacetScore, two_sided: jax.Array) -> Verdict:
         """Hold one point against the limits, on both sides of the facet."""
-        away = jnp.abs(s.height) * jnp.cos(jnp.radians(jnp.minimum(s.slope, _STEEPEST)))
+        away = jnp.abs(s.height) * jnp.cos(jnp.radians(jnp.minimum(s.slope, STEEPEST)))
         near = (jnp.abs(s.angle) < self.angle) | (away <= self.noise)
         steep = jnp.maximum(away - jnp.minimum(self.distance, self.noise), _LEAST)  # else rounding might make it zero
         return _verdict(jnp.where(near, away - self.distance, steep), s)

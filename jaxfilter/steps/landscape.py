@@ -14,9 +14,6 @@ from ..engines.grid.cells import inside
 from ..engines.grid.inpaint import fill_membrane
 from .surfaces import Cells, steepness
 
-_BLOCK = 5.0
-"""Metres: wide enough to level furrows and vehicles, a sixth of what it is averaged over by default."""
-
 
 def landscape_slope(z: np.ndarray, cells: Cells, objects: np.ndarray, sigma: float) -> np.ndarray:
     """f32[rows, columns]: slope of the landscape, rise over run, at the cells, without padding.
@@ -26,7 +23,7 @@ def landscape_slope(z: np.ndarray, cells: Cells, objects: np.ndarray, sigma: flo
         sigma: standard deviation of the weights, metres.
     """
     cell, shape = float(cells.grid.cell), cells.lowest.shape
-    block = max(1, round(_BLOCK / cell))
+    block = max(1, round(sigma / 6 / cell))  # 5 m by default, which levels furrows and vehicles
     reach = min(math.ceil(3 * sigma / (block * cell)), -(-max(shape) // block))  # nothing lies beyond the array
     pad = [(0, wide - n) for wide, n in zip(shape, z.shape, strict=True)]
     known = np.asarray(cells.seen) & ~np.pad(objects, pad)

@@ -7,8 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-FURTHER, KNOWN = np.float32(1.6), np.float32(0.8)
-"""On a face the surface falls so many times as far within four cells as within two, where this share of the cells have points."""
+FURTHER = np.float32(1.6)
+"""On a face the surface falls so many times as far within four cells as within two; on a bank within two as within one."""
+EVEN = 0.1
+"""Metres that a smooth surface bends by from one cell to the next: a crest, a steep roof. Bare rock bends by twice as much."""
+MOST = 0.8
+"""Share of its border where the surface falls that banks of an embankment, and walls of a large hall, are at least."""
 
 
 class Census(NamedTuple):
@@ -53,7 +57,7 @@ class Parts:
 
         least = area / cell**2
         number, last = segments(np.where(inside, z, np.float32(np.nan)), np.float32(step), least)
-        return cls(number, last, *falls(number, z, seen, FURTHER, KNOWN), inside, seen, cell, least)
+        return cls(number, last, *falls(number, z, seen, FURTHER), inside, seen, cell, least)
 
     def joined(self, z: np.ndarray, step: float) -> Parts:
         """Those with another step between cells."""

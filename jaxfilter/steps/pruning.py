@@ -55,25 +55,6 @@ class Scatter(NamedTuple):
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
 
-def points_above(ground: GroundTin, among: np.ndarray, edges: int) -> np.ndarray:
-    """f32[m]: points that are no ground for each of the vertices up to so many edges away; zero where it is not asked for.
-
-    ``among``: bool[m], vertices of which it is asked. A point counts at the corner of its triangle that comes first.
-    """
-    from ..engines.tin.rings import surroundings  # imports Numba
-
-    tin, found = ground.tin, np.zeros(len(among), np.float32)
-    nodes = np.flatnonzero(tin.vertex & among)
-    if len(nodes):
-        others = ground.rest
-        tin.locate(others)
-        above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(found)).astype(np.float32)
-        means = np.empty(len(nodes), np.float32)
-        surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, above, means)
-        found[nodes] = means
-    return found
-
-
 def drop_vertices(ground: GroundTin, over: np.ndarray) -> int:
     """Drop the vertices that stick out by more than zero metres, but those on the hull; how many. ``over``: f32[m], their
     margins."""

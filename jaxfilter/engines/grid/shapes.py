@@ -90,16 +90,16 @@ def segments(z, step, least):
 
 
 @compiled(allocates=True)
-def falls(segment, z, seen, further, known):
+def falls(segment, z, seen, further):
     """f32[rows, columns]: how far the surface falls at the cells that have a cell of another segment beside them, metres: down to
     the lowest elevation within two rows and columns; zero for all others. bool[rows, columns]: those that are seen to be walls.
 
-    It is negative on a face: there it falls ``further`` times as far at least within four rows and columns, and a share
-    ``known`` of these cells at least have points. At a wall it falls at once; it is seen if half of these cells have points.
+    It is negative on a face: there it falls ``further`` times as far at least within four rows and columns. At a wall it falls at
+    once. Either is seen if half of these cells have points.
 
     Args:
         segment: i32[rows, columns], from :func:`segments`. z: f32[rows, columns], metres.
-        seen: bool[rows, columns], cells with points. further, known: f32.
+        seen: bool[rows, columns], cells with points. further: f32.
     """
     rows, columns = segment.shape
     fall, walls = np.zeros(segment.shape, np.float32), np.zeros(segment.shape, np.bool_)
@@ -119,9 +119,9 @@ def falls(segment, z, seen, further, known):
                     if abs(r - row) < 3 and abs(c - column) < 3:
                         near = min(near, z[r, c])
             at_once = z[row, column] - far < further * (z[row, column] - near)
-            face = points >= known * cells and not at_once
-            fall[row, column] = near - z[row, column] if face else z[row, column] - near
-            walls[row, column] = at_once and 2 * points >= cells
+            known = 2 * points >= cells
+            fall[row, column] = near - z[row, column] if known and not at_once else z[row, column] - near
+            walls[row, column] = known and at_once
     return fall, walls
 
 

@@ -87,28 +87,3 @@ def roughness(triangles, neighbours, where, nodes, e, out):
             if t == first:
                 break
         out[node] = np.sqrt(total / max(n, 1))
-
-
-@compiled(allocates=True)
-def surroundings(triangles, neighbours, where, nodes, edges, values, out):
-    """Means of ``values``, f32[k], over vertices and all that are at most so many edges away; f32[n] for ``nodes``."""
-    known, seen = np.empty(64, np.int64), np.full(len(where), -1, np.int32)
-    for i in range(len(nodes)):
-        known[0], seen[nodes[i]], first, size = nodes[i], i, 0, 1
-        for _ in range(edges):
-            end = size
-            for m in range(first, end):
-                t = where[known[m]]
-                while True:
-                    a, _, t = _beside(triangles, neighbours, t, known[m])
-                    if a >= 0 and seen[a] != i:
-                        if size == len(known):
-                            known = np.concatenate((known, known))
-                        known[size], seen[a] = a, i
-                        size += 1
-                    if t == where[known[m]]:
-                        break
-            first = end
-        out[i] = 0.0
-        for m in range(size):
-            out[i] += values[known[m]] / size

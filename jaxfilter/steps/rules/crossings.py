@@ -110,7 +110,9 @@ class Crossings(Rule):
         ost, xyz = scene.ost, scene.points.xyz
         surface = Surface(scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells))
         step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
-        scene.deck, scene.level, clear = self.find(surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area))
+        scene.deck, scene.level, clear = self.find(
+            surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area)
+        )
         deck, level = look_up(xyz, scene.cells, scene.deck, clear)
         scene.never |= (xyz[:, 2] > deck - np.float32(step)) | (np.abs(xyz[:, 2] - level) > 2 * self.surface)
         scene.seeds = scene.seeds[~scene.never[scene.seeds]]
@@ -122,7 +124,9 @@ class Crossings(Rule):
         labels.deck = ~labels.ground & (np.abs(xyz[:, 2] - deck) < np.float32(scene.ost.roof_step))
         labels.water = labels.ground & (np.abs(xyz[:, 2] - level) < self.surface)
         if not np.isnan(scene.level).all():
-            labels.water_cells = WaterCells.from_levels(cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell))
+            labels.water_cells = WaterCells.from_levels(
+                cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell)
+            )
 
     def find(self, surface: Surface, sizes: Sizes) -> Crossed:
         """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ..outliers import LOW_DEPTH, low_clusters, scattered
 from ..sensors import AIRBORNE
-from .plants import hidden
+from .plants import hidden, sides_of
 from .scene import Rule, Scene
 
 
@@ -23,4 +23,5 @@ class LowClusters(Rule):
             return
         below = scattered(scene.points, low_clusters(scene.points, depth=LOW_DEPTH, max_points=most).barred)
         if (below & ~scene.low).any():
-            scene.low = scene.low | (below & ~hidden(scene))
+            side = sides_of(scene.ost.cell, scene.spacing, scene.ost.window)[0]
+            scene.low = scene.low | (below & ~hidden(scene, side)[0])

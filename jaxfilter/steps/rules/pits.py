@@ -15,7 +15,7 @@ class Pits(Rule):
     """Points below what surrounds them are low, in pits of a few cells. A ditch is longer."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, DRONE)
-    depth: float = 0.3
+    depth: float = 0.4
     """Metres below the surroundings, at least: wrong matches come as clusters that are too high for a count of low points."""
     area: float = 12.0
     """Square metres of a pit at most."""

@@ -8,61 +8,87 @@ from typing import ClassVar
 import numpy as np
 
 from ...engines.tin.ground import GroundTin
-from ..pruning import Scatter, drop_vertices, points_above
-from ..seeds import rising, veiled
+from ..pruning import Scatter, drop_vertices
+from ..seeds import ABOVE, rising, veiled
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import cell_for, look_up
 from .scene import Rule, Scene, grid_of
 
+BESIDE, STEEP = 10.0, 1.25
+"""Metres from a seed to others, and rise over run, by which it must not rise from these: no ground under plants does, nor what is
+seen of a ramp."""
+CELL = 2.0
+"""Spacings along the side of the cells in which plants are looked for: they hold four points."""
 
-def hidden(scene: Scene, side: float = 2.0, around: float = 10.0) -> np.ndarray:
-    """bool[m]: points where plants hide the ground (:func:`jaxfilter.steps.seeds.veiled`), by cells of ``side`` spacings within
-    ``around`` metres."""
-    cells = grid_of(scene, max(scene.ost.cell, cell_for(scene.spacing, side)))
-    found = veiled(scene.points, cells, around)
-    return look_up(scene.points.xyz, cells, found)[0]
+
+def sides_of(cell: float, spacing: float, window: float) -> list[float]:
+    """Metres along the sides of the cells in which plants are looked for: each twice the one before, where the first is wider than
+    a cell of the surface, up to ``window``."""
+    sides = [max(cell, cell_for(spacing, CELL))]
+    while cell < sides[0] and 2 * sides[-1] <= window:
+        sides.append(2 * sides[-1])
+    return sides
+
+
+def hidden(scene: Scene, side: float, height: float = ABOVE) -> tuple[np.ndarray, np.ndarray]:
+    """bool[m]: points where plants hide the ground, by cells of this side that are within 10 m; and f32[m], the lowest elevations
+    in their cells (:func:`jaxfilter.steps.seeds.veiled`)."""
+    cells, points = grid_of(scene, side), scene.points
+    left = dataclasses.replace(points, weight=points.weight * ~scene.veil)
+    found, lowest = look_up(points.xyz, cells, veiled(left, cells, BESIDE, height), cells.lowest)
+    return found, lowest
+
+
+def without_rising(scene: Scene, suspect: np.ndarray, sides: int) -> np.ndarray:
+    """i64: the seeds without those of the suspect ones, bool[seeds], that rise steeply from others in so many quadrants."""
+    seeds, found = scene.seeds, suspect.copy()
+    found[suspect] = rising(scene.points.xyz, seeds[suspect], seeds, BESIDE, STEEP, sides)
+    return seeds[~found]
 
 
 @dataclasses.dataclass(frozen=True)
 class Plants(Rule):
-    """Where plants hide the ground, seeds must not rise steeply from others, and vertices must not stick out of those beside
-    them."""
+    """Where plants hide the ground, the surface is made of the lowest points of cells that hold several, seeds must not rise
+    steeply from others, and vertices must not stick out of those beside them."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
-    beside: float = 10.0
-    """Metres from a seed to others from which it must not rise."""
-    steep: float = 1.25
-    """Rise over run: steeper is none of the slopes that forests grow on."""
     sides: int = 2
-    """Quadrants in which it rises so: the upper edge of a step does in one."""
-    out: float = 0.3
-    """Metres per metre of spacing that a vertex may stick out on level land."""
-    veil: float = 2.0
-    """Points that are no ground for each vertex, up to ``edges`` edges away."""
-    edges: int = 3
+    """Quadrants in which a seed rises from others: the upper edge of a step does in one."""
     passes: int = 3
     """Times that vertices are judged: beside high plants those that are less high do not stick out."""
 
     def bar(self, scene: Scene) -> None:
-        scene.plants = hidden(scene)
+        """Where plants hide the ground; and there, where points are few, the surface is made of the lowest point of wider cells.
+
+        If plants hide the ground by these points, too, cells are twice as wide, and so on. What counts as high grows as the area
+        of cells does: over wide ones terrain is rough.
+        """
+        ost, height = scene.ost, ABOVE
+        sides = sides_of(ost.cell, scene.spacing, ost.window)
+        scene.plants, lowest = hidden(scene, sides[0])
+        here = scene.plants
+        for side in sides if sides[0] > ost.cell else []:
+            if side > sides[0]:
+                found, lowest = hidden(scene, side, height := 4 * height)
+                here = here & found
+            if not here.any():
+                break
+            scene.veil = scene.veil | (here & (scene.points.xyz[:, 2] > lowest))
 
     def seed(self, scene: Scene) -> None:
-        seeds, xyz = scene.seeds, scene.points.xyz
-        suspect = scene.plants[seeds]
-        suspect[suspect] = rising(xyz, seeds[suspect], seeds, self.beside, self.steep, self.sides)
-        scene.seeds = seeds[~suspect]
+        """Seeds that rise are dropped."""
+        scene.seeds = without_rising(scene, scene.plants[scene.seeds], self.sides)
 
     def prune(self, scene: Scene, ground: GroundTin, scatter: Scatter) -> int:
         """Vertices are dropped that stick out by more than those beside them do, than ``noise``, and than a share of the spacing
-        that grows with the slope of the landscape, where more points than ``veil`` are above each vertex around."""
+        that grows with the slope of the landscape."""
         ost, dropped = scene.ost, 0
-        around = look_up(scene.points.xyz, scene.cells, scene.slope)[0]
-        least = np.maximum(np.float32(ost.noise), np.float32(scene.spacing) * (self.out + float(ost.scaling) * around))
-        for number in range(self.passes if scene.plants.any() else 0):
-            if number > 0 or dropped:
-                scatter = scatter.measure_again(ground.tin, scene.plants)
+        slope = look_up(scene.points.xyz, scene.cells, scene.slope)[0]
+        share = np.float32(ost.tolerance_spacing) + np.float32(ost.scaling) * slope
+        least = np.maximum(np.float32(ost.noise), np.float32(scene.spacing) * share)
+        for _ in range(self.passes if scene.plants.any() else 0):
+            scatter = scatter.measure_again(ground.tin, scene.plants)
             over = np.where(scene.plants, scatter.residual - np.maximum(least, scatter.roughness), np.float32(0))
-            over[points_above(ground, over > 0, self.edges) <= self.veil] = 0
             count = drop_vertices(ground, over)
             dropped += count
             if count == 0:

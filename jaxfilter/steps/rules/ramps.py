@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import scipy
 
-from ..seeds import rising
 from ..sensors import MATCHING, MOBILE
 from ..surfaces import look_up
+from .plants import without_rising
 from .scene import Rule, Scene
 
 
@@ -18,14 +18,8 @@ class Ramps(Rule):
     """Seeds beside an object, or a cell without points, must not rise steeply from others."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, MOBILE)
-    beside: float = 10.0
-    """Metres from a seed to others from which it must not rise."""
-    steep: float = 1.0
-    """Rise over run: ramps are steeper, most ground is not."""
 
     def seed(self, scene: Scene) -> None:
-        seeds, xyz = scene.seeds, scene.points.xyz
+        """Seeds that rise are dropped."""
         near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen)
-        suspect = look_up(xyz[seeds], scene.cells, near)[0]
-        suspect[suspect] = rising(xyz, seeds[suspect], seeds, self.beside, self.steep)
-        scene.seeds = seeds[~suspect]
+        scene.seeds = without_rising(scene, look_up(scene.points.xyz[scene.seeds], scene.cells, near)[0], 1)

@@ -25,7 +25,7 @@ class Scene:
     Attributes:
         ost: the filter, whose fields rules may read. points: those that are classified, m of them. spacing: metres.
         low: bool[m], points that are too low to be seeds.
-        plants: bool[m], where plants hide the ground.
+        plants: bool[m], where plants hide the ground. veil: bool[m], points of these that the surface is made without.
         cells: the grid. lowest: i64, rows of the points that are lowest in their cell; tin: their
             triangulation.
         z: f32, the lowest elevation of each cell, metres, none missing; inside: bool, cells inside the hull of these points.
@@ -43,6 +43,7 @@ class Scene:
     spacing: float
     low: np.ndarray = dataclasses.field(init=False)
     plants: np.ndarray = dataclasses.field(init=False)
+    veil: np.ndarray = dataclasses.field(init=False)
     cells: Cells = dataclasses.field(init=False)
     lowest: np.ndarray = dataclasses.field(init=False)
     tin: Tin = dataclasses.field(init=False)
@@ -85,7 +86,7 @@ class Rule:
     """The kinds of clouds that the rule is for, where no rules are named."""
 
     def bar(self, scene: Scene) -> None:
-        """After low points: change ``low`` or ``plants``."""
+        """After low points: change ``low``, or ``plants`` and ``veil``."""
 
     def fill(self, scene: Scene) -> None:
         """After the surface: change ``z``."""
@@ -108,9 +109,12 @@ class Rule:
 
 
 def grid_of(scene: Scene, cell: float) -> Cells:
-    """The lowest point of each square of ``cell`` metres, without those that are too low. Squares are centred on the lattice."""
+    """The lowest point of each square of ``cell`` metres, without those that are too low, or in the veil. Squares are centred on
+    the lattice."""
     x, y = scene.points.offset(cell)
-    return lowest_cells(scene.points, cell, "OST(cell)", corner=(x - cell / 2, y - cell / 2), barred=scene.low)
+    return lowest_cells(
+        scene.points, cell, "OST(cell)", corner=(x - cell / 2, y - cell / 2), barred=scene.low | scene.veil
+    )
 
 
 def filled(tin: Tin, cells: Cells) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from ...core.filter import Labels
+from ..objects import EVEN
 from ..sensors import spreads
 from ..surfaces import highest_in, look_up
 from .scene import Rule, Scene
@@ -24,23 +25,19 @@ class Steep(Rule):
     to the inside (:func:`jaxfilter.engines.grid.shapes.faces`).
     """
 
-    smooth: float = 0.2
-    """Metres that a bare surface bends by from one cell to the next, along its contours, and that its points scatter by."""
     roofs: float = 0.1
     """Share of the cells of steep terrain that may be in roofs."""
     walls: float = 0.45
     """Share of those on its border that may be walls."""
-    void: float = 4.0
-    """Metres without points between rock and what is beneath it, at least."""
-    sheet: float = 0.6
-    """Metres, standard deviation at most, that points of rock lie from their plane in a cell. Leaves scatter by more."""
+    sheet: float = 1.5
+    """Standard deviation at most that points of rock lie from their plane in a cell, in ``roof_step``. Leaves scatter by more."""
 
     def give_back(self, scene: Scene) -> None:
         from ...engines.grid.shapes import faces, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))
         part, count = segments(z, np.float32(np.inf), ost.roof_area / ost.cell**2)
-        limits = (np.float32(limit) for limit in (ost.roof_step, self.smooth, 2 * ost.roof_step))
+        limits = (np.float32(limit) for limit in (ost.roof_step, 2 * EVEN, 2 * ost.roof_step))
         high = highest_in(scene.points.xyz, scene.cells)
         cells, roofs, known, bare, border, walls = faces(part, count, scene.z, high, scene.seen, scene.whole, *limits)
         rock = (
@@ -76,7 +73,7 @@ class Steep(Rule):
         own = own[np.lexsort((xyz[own, 2], at[own]))]
         cell, z, number = at[own], xyz[own, 2], np.arange(len(own))
         first = np.diff(cell, prepend=-1) > 0
-        void = ~first & (np.diff(z, prepend=z[:1]) > self.void)
+        void = ~first & (np.diff(z, prepend=z[:1]) > 2 * scene.ost.roof_drop)
         start, known = np.zeros(scene.z.size, np.int64), cell[first]
         np.maximum.at(start, cell, np.where(first | void, number, 0))
         upper = number >= start[cell]
@@ -84,7 +81,7 @@ class Steep(Rule):
         low[known], high[known] = z[start[known]], np.maximum.reduceat(z, number[first])
         above, sheet = np.zeros((2, scene.z.size), bool)
         above[cell[void]] = True
-        sheet[known] = spreads(xyz[own[upper]].astype(np.float64), cell[upper]) < self.sheet
+        sheet[known] = spreads(xyz[own[upper]].astype(np.float64), cell[upper]) < self.sheet * step
         low, high, above, sheet = (np.pad(values.reshape(shape), 1) for values in (low, high, above, sheet))
         rock, more = np.pad(scene.rock, 1) & ~above, above
         while more.any():

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..outliers import LOW_DEPTH
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import positions
 from .scene import Rule, Scene
@@ -16,14 +17,15 @@ from .scene import Rule, Scene
 
 @dataclasses.dataclass(frozen=True)
 class Voids(Rule):
-    """Triangles across a void hang at the lowest elevation around their corners: so a roof at the edge of water stands out from
-    it, as it does from land. Voids of photographs, and of scans from a car, are no water."""
+    """Triangles across a void hang at the lowest elevation around those of their corners that are 2 m above it: so a roof at the
+    edge of water stands out from it, as it does from land, and low terraces and plants do not. Voids of photographs, and of scans
+    from a car, are no water."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
     edge: float = 8.0
     """Metres: a triangle with a longer edge spans a void, if the edge is longer than four spacings, too."""
-    rim: float = 4.0
-    """Metres around a corner within which the lowest cell counts."""
+    rim: float = 0.2
+    """Of the window: so far around a corner the lowest cell counts."""
 
     def fill(self, scene: Scene) -> None:
         from ...engines.grid.shapes import draw  # imports Numba
@@ -35,12 +37,14 @@ class Voids(Rule):
             np.hypot(x[corner[:, k]] - x[corner[:, k - 1]], y[corner[:, k]] - y[corner[:, k - 1]]) for k in range(3)
         )
         over = (corner.min(axis=1) >= 0) & (np.maximum.reduce(list(side)) > limit)
-        nodes, reach = np.unique(corner[over]), math.ceil(self.rim / cell - 1e-6)
+        nodes, reach = np.unique(corner[over]), math.ceil(self.rim * scene.ost.window / cell - 1e-6)
         z, known = scene.z.copy(), scene.seen
         wide = np.pad(np.where(known, z, np.float32(np.inf)), reach, constant_values=np.inf)
         row, column = (np.minimum(np.rint(at[nodes]).astype(int), n - 1) for at, n in zip((y, x), z.shape, strict=True))
-        beneath = tin.xyz[:, 2].copy()
+        own, beneath = tin.xyz[nodes, 2], tin.xyz[:, 2].copy()
+        low = own.copy()
         for i, j in itertools.product(range(2 * reach + 1), repeat=2):
-            beneath[nodes] = np.minimum(beneath[nodes], wide[row + i, column + j])
+            low = np.minimum(low, wide[row + i, column + j])
+        beneath[nodes] = np.where(own - low > np.float32(LOW_DEPTH), low, own)
         draw(x, y, corner[over], beneath, z, known)
         scene.z = z
