@@ -26,7 +26,7 @@ from jaxfilter.steps.objects import Parts
 from jaxfilter.steps.pruning import Scatter, drop_vertices
 from jaxfilter.steps.rules import RULES, Scene
 from jaxfilter.steps.rules.scene import filled
-from jaxfilter.steps.seeds import veiled
+from jaxfilter.steps.seeds import standing, veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
 from jaxfilter.steps.surfaces import lowest_cells
 
@@ -371,7 +371,8 @@ def test_plants_hide_the_ground_where_most_points_stand_above_the_lowest(rng, de
     x, y = rng.uniform(0, 40, (2, density * 1600))
     z = slope * x + (rng.random(len(x)) < plants) * rng.uniform(2, 9, len(x))
     points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
-    found = veiled(points, lowest_cells(points, 1.0, "here"), 10.0)
+    cells = lowest_cells(points, 1.0, "here")
+    found = veiled(points, cells, 10.0, standing(points, cells))
     rows = slice(3, 37)  # cells at the border have few points, or a part of a face
     assert (found[rows, rows] == hidden).all()
 

@@ -17,7 +17,7 @@ VALLEY = np.where(abs(COLUMNS - 50) < 15, np.float32(-5), np.float32(0))
 def crossed(z: np.ndarray, inside: np.ndarray, objects: np.ndarray, points: np.ndarray | int = 4) -> Crossed:
     """What is found in a surface with ``points`` in each cell."""
     seen, points = np.ones(z.shape, bool), np.broadcast_to(points, z.shape)
-    return Crossings().find(Surface(z.astype(np.float32), seen, inside, objects, points), SIZES)
+    return Crossings().find(Surface(z.astype(np.float32), seen, inside, objects, points, np.float32(0)), SIZES)
 
 
 def found(z: np.ndarray) -> np.ndarray:

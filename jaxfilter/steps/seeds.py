@@ -105,18 +105,24 @@ def under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float
     return xyz[:, 2] - lowest[at] < height
 
 
-def veiled(points: Points, cells: Cells, around: float, height: float = ABOVE) -> np.ndarray:
-    """bool[rows, columns], of the shape of ``cells``: where plants hide the ground, by the points within ``around`` metres along
-    both axes.
-
-    See :data:`VEILED`; the third highest of the lowest points of 3 x 3 cells is as high as a plane face rises within a cell.
-    There must be two points to a cell in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are;
-    points of weight zero do not count. ``height``: metres that count as high.
-    """
+def standing(points: Points, cells: Cells, height: float = ABOVE) -> np.ndarray:
+    """bool[m]: points ``height`` metres above the lowest of their cell, and above the third highest of the lowest points of 3 x 3
+    cells, which is as high as a plane face rises within a cell. ``points``: those of which ``cells`` are."""
     (rows, columns), at = cells.grid.shape, cells.grid.flat(points.xyz)
     lowest, seen = (np.asarray(values)[:rows, :columns] for values in (cells.lowest, cells.seen))
     uphill = scipy.ndimage.rank_filter(np.where(seen, lowest, np.float32(-np.inf)), -_UPHILL, 3)
-    high = points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(height))[at]
+    return points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(height))[at]
+
+
+def veiled(points: Points, cells: Cells, around: float, high: np.ndarray) -> np.ndarray:
+    """bool[rows, columns], of the shape of ``cells``: where plants hide the ground, by the points within ``around`` metres along
+    both axes.
+
+    See :data:`VEILED`; ``high``: bool[m], points that stand above others, see :func:`standing`. There must be two points to a cell
+    in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are; points of weight zero do not count.
+    """
+    (rows, columns), at = cells.grid.shape, cells.grid.flat(points.xyz)
+    seen = np.asarray(cells.seen)[:rows, :columns]
     above, number = (
         np.where(seen, np.bincount(at, weight, rows * columns).reshape(rows, columns), 0)
         for weight in (points.weight * high, points.weight)

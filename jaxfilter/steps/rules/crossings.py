@@ -29,7 +29,7 @@ class Surface(NamedTuple):
     Attributes:
         z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points; inside: those that the data
             surround; objects: those that are none of the ground.
-        points: i64[rows, columns], how many are in each cell.
+        points: i64[rows, columns], how many are in each cell. slope: f32[rows, columns], rise over run of the landscape.
     """
 
     z: np.ndarray
@@ -37,6 +37,7 @@ class Surface(NamedTuple):
     inside: np.ndarray
     objects: np.ndarray
     points: np.ndarray
+    slope: np.ndarray
 
 
 class Sizes(NamedTuple):
@@ -108,7 +109,9 @@ class Crossings(Rule):
     def seed(self, scene: Scene) -> None:
         """What is at a deck or above, and what is above or below water, but at its shore, is never ground."""
         ost, xyz = scene.ost, scene.points.xyz
-        surface = Surface(scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells))
+        surface = Surface(
+            scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells), scene.slope
+        )
         step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
         scene.deck, scene.level, clear = self.find(
             surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area)
@@ -131,7 +134,7 @@ class Crossings(Rule):
     def find(self, surface: Surface, sizes: Sizes) -> Crossed:
         """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
         body are judged as a whole."""
-        z, seen, inside, objects, points = surface
+        z, seen, inside, objects, points, slope = surface
         gap = max(2, math.ceil(self.gap * sizes.spacing / sizes.cell))
         z = np.where(inside, z, np.float32(np.inf))
         edge = inside & ~(seen | lowest(inside, 2 * gap + 1, outside=False))  # where slim triangles go on to anywhere
@@ -145,11 +148,13 @@ class Crossings(Rule):
         reach = round(sizes.widest / 2 / sizes.cell)
         for box, own in _groups(void, reach):  # water is below what is around it
             z[box] = np.where(own, lowest(z[box], 2 * reach + 1), z[box])
-        deck = self._decks(z, objects, gap, sizes)
+        deck = np.full(z.shape, np.nan, np.float32)
+        if sizes.spacing <= 2 * sizes.cell:  # else most of the surface is not seen
+            deck = self._decks(z, objects, slope, gap, sizes)
         z[~np.isnan(deck)] = np.inf
         return Crossed(deck, *self._waters(z, objects & np.isnan(deck), points, sizes.cell))
 
-    def _decks(self, z: np.ndarray, objects: np.ndarray, gap: int, sizes: Sizes) -> np.ndarray:
+    def _decks(self, z: np.ndarray, objects: np.ndarray, slope: np.ndarray, gap: int, sizes: Sizes) -> np.ndarray:
         """f32[rows, columns]: elevation of decks, NaN elsewhere. ``z``: infinite where it is not known; ``gap``: cells.
 
         Cells beside a deck whose lowest point is beneath it hold points of its edge, and have its elevation.
@@ -158,7 +163,7 @@ class Crossings(Rule):
 
         low, cell, deck = np.float32(self.fall * sizes.drop), sizes.cell, np.full(z.shape, np.nan, np.float32)
         across, width, fall = flanks(z, gap, np.float32(sizes.widest / cell), low)
-        high = fall > sizes.drop
+        high = fall > np.float32(sizes.drop) + np.float32(gap * cell) * slope  # the landscape explains the rest
         on = (across > 0) & highest(high, 2 * round(self.near / cell) + 1)
         part, count = segments(np.where(on, z, np.float32(np.nan)), np.float32(sizes.step), sizes.area / cell**2)
         row, column = np.nonzero(part > 0)

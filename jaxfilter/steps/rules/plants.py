@@ -9,7 +9,7 @@ import numpy as np
 
 from ...engines.tin.ground import GroundTin
 from ..pruning import Scatter, drop_vertices
-from ..seeds import ABOVE, rising, veiled
+from ..seeds import ABOVE, rising, standing, veiled
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import cell_for, look_up
 from .scene import Rule, Scene, grid_of
@@ -31,12 +31,13 @@ def sides_of(cell: float, spacing: float, window: float) -> list[float]:
 
 
 def hidden(scene: Scene, side: float, height: float = ABOVE) -> tuple[np.ndarray, np.ndarray]:
-    """bool[m]: points where plants hide the ground, by cells of this side that are within 10 m; and f32[m], the lowest elevations
-    in their cells (:func:`jaxfilter.steps.seeds.veiled`)."""
+    """bool[m] each: points where plants hide the ground, by cells of this side that are within 10 m; and points there that stand
+    ``height`` metres above others (:func:`jaxfilter.steps.seeds.veiled`)."""
     cells, points = grid_of(scene, side), scene.points
+    high = standing(points, cells, height)
     left = dataclasses.replace(points, weight=points.weight * ~scene.veil)
-    found, lowest = look_up(points.xyz, cells, veiled(left, cells, BESIDE, height), cells.lowest)
-    return found, lowest
+    found = look_up(points.xyz, cells, veiled(left, cells, BESIDE, high))[0]
+    return found, found & high
 
 
 def without_rising(scene: Scene, suspect: np.ndarray, sides: int) -> np.ndarray:
@@ -48,7 +49,7 @@ def without_rising(scene: Scene, suspect: np.ndarray, sides: int) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Plants(Rule):
-    """Where plants hide the ground, the surface is made of the lowest points of cells that hold several, seeds must not rise
+    """Where plants hide the ground, the surface is made without plants, seeds must not rise
     steeply from others, and vertices must not stick out of those beside them."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
@@ -58,22 +59,20 @@ class Plants(Rule):
     """Times that vertices are judged: beside high plants those that are less high do not stick out."""
 
     def bar(self, scene: Scene) -> None:
-        """Where plants hide the ground; and there, where points are few, the surface is made of the lowest point of wider cells.
+        """Where plants hide the ground; and there, where points are few, the surface is made without what stands above others.
 
-        If plants hide the ground by these points, too, cells are twice as wide, and so on. What counts as high grows as the area
-        of cells does: over wide ones terrain is rough.
+        If plants hide the ground by the points that are left, too, cells are twice as wide, and so on. What counts as high grows
+        with the cells: over wide ones terrain is rough.
         """
         ost, height = scene.ost, ABOVE
         sides = sides_of(ost.cell, scene.spacing, ost.window)
-        scene.plants, lowest = hidden(scene, sides[0])
-        here = scene.plants
-        for side in sides if sides[0] > ost.cell else []:
-            if side > sides[0]:
-                found, lowest = hidden(scene, side, height := 4 * height)
-                here = here & found
-            if not here.any():
-                break
-            scene.veil = scene.veil | (here & (scene.points.xyz[:, 2] > lowest))
+        scene.plants, high = here, _ = hidden(scene, sides[0])
+        for side in sides[1:]:
+            scene.veil = scene.veil | (here & high)
+            found, high = hidden(scene, side, height := 2 * height)
+            here = here & found
+        if sides[0] > ost.cell:
+            scene.veil = scene.veil | (here & high)
 
     def seed(self, scene: Scene) -> None:
         """Seeds that rise are dropped."""
