@@ -24,7 +24,7 @@ from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import landscape_slope
 from jaxfilter.steps.objects import Parts
 from jaxfilter.steps.pruning import Scatter, drop_vertices
-from jaxfilter.steps.rules import RULES, Scene
+from jaxfilter.steps.rules import RULES, OstScene
 from jaxfilter.steps.rules.scene import filled
 from jaxfilter.steps.seeds import standing, veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
@@ -220,7 +220,7 @@ def scene_of(z, roofs=ROOFS, inside=None, largest=1e6, seen=None, slope=0.0, mar
     inside, seen = (every if given is None else given for given in (inside, seen))
     row, column = (a.ravel() + 0.5 for a in np.mgrid[: z.shape[0], : z.shape[1]])
     top = z if high is None else high
-    scene = Scene(
+    scene = OstScene(
         roofs.replace(window=math.sqrt(largest) / 2), rows_of(np.c_[column, row, top.ravel()].astype("f4")), 1.0
     )
     cells = cells_of(np.c_[column, row, z.ravel()].astype("f4"))
@@ -328,7 +328,7 @@ def test_a_rock_is_terrain_and_a_roof_and_a_crown_are_none(rng):
     assert not given_back("steep", cone, marked, high=bare, seen=column % 2 == 0).any()  # too few points to tell
 
 
-@pytest.mark.parametrize("sensor, share", [(AIRBORNE, 0.97), (MATCHING, 0.75)])
+@pytest.mark.parametrize("sensor, share", [(AIRBORNE, 0.97), (MATCHING, 0.7)])
 def test_a_headland_of_steep_rock_at_the_edge_of_the_data_is_ground(rng, sensor, share):
     """A quarter of a cone, 30 m high, above level land, at ten points per square metre. In photographs walls are such ramps."""
     xy = rng.uniform(0, 60, (36_000, 2))
@@ -377,24 +377,37 @@ def test_plants_hide_the_ground_where_most_points_stand_above_the_lowest(rng, de
     assert (found[rows, rows] == hidden).all()
 
 
-def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few(monkeypatch):
+def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few():
     """A slope of 31 degrees under forest, of which one pulse in a hundred meets the ground below a crown."""
     layout = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], penetration=0.01, tilt=0.6, forest=0.95)
     scene = jf.scenes.make(layout, size=(250, 200), density=4.0, seed=21)
     assert scene.truth[scene.cloud.candidate].mean() < 0.3
 
-    def measured():
-        result = jf.OST.for_cloud(scene.cloud)(scene.cloud)
+    def measured(rules):
+        result = jf.OST.for_cloud(scene.cloud, rules=rules)(scene.cloud)
         return jf.dtm_rmse(scene.cloud, result, scene.truth)
 
-    found = measured()
-    with_rule(monkeypatch, "plants", sides=5)  # no seed rises on so many
-    before = measured()
-    assert found.rmse < 0.9 * before.rmse and found.off < 0.9 * before.off
-    with_rule(monkeypatch, "plants", sides=5, passes=1)
-    once = measured()
-    assert before.rmse < 0.9 * once.rmse and before.off < 0.9 * once.off and once.off > 1
-    assert found.rmse < 0.7 * once.rmse and found.off < 0.7 * once.off
+    found, before = measured(None), measured([name for name in RULES if name not in ("plants", "pits", "ramps")])
+    assert found.rmse < 0.7 * before.rmse and found.off < 0.7 * before.off and before.off > 1
+
+
+def test_in_a_sparse_forest_on_a_slope_the_terrain_is_that_of_the_few_points_below(rng):
+    """A tenth of 0.1 points per m2 is ground, so the lowest point of most cells of any usual size is a plant."""
+    xy = rng.uniform(0, 300, (9000, 2))
+    terrain, truth = 0.25 * xy[:, 0] + 4 * np.sin(xy[:, 1] / 40), rng.random(9000) < 0.1
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, terrain + np.where(truth, 0, rng.uniform(2, 20, 9000))]))
+    ost, smrf = (one.for_cloud(cloud)(cloud) for one in (jf.OST, jf.SMRF))
+    assert jf.evaluate(ost, truth).total < 0.6 * jf.evaluate(smrf, truth).total
+    assert jf.dtm_rmse(cloud, ost, truth).rmse < jf.dtm_rmse(cloud, smrf, truth).rmse
+
+
+def test_decks_are_looked_for_where_the_points_show_most_of_the_surface(rng):
+    """The trees of a sparse forest leave flanks on both sides of the ground between them."""
+    xy = rng.uniform(0, 300, (18_000, 2))
+    tree = rng.random(18_000) < 0.8
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, 0.3 * xy[:, 0] + tree * rng.uniform(2, 20, 18_000)]))
+    result = jf.OST.for_cloud(cloud)(cloud)
+    assert not result.deck.any() and result.ground[~tree].mean() > 0.95
 
 
 def overhanging(rng):
@@ -494,7 +507,7 @@ def test_a_narrow_headland_with_faces_is_ground_and_a_hall_with_walls_is_none():
     headland, hall = np.clip(30 - 2.75 * away, 0, 30), np.where(away <= 0, np.float32(30), 0)
     assert not objects(headland)[headland == 30].any()
     np.testing.assert_array_equal(objects(hall), hall > 0)
-    few = np.isfinite(away) & (np.arange(90) % 4 > 0)  # where a quarter of the cells is empty, a face may be a wall
+    few = np.isfinite(away) & (np.arange(90) % 4 == 0)  # where most cells are empty, a face may be a wall
     assert objects(headland, seen=few)[headland == 30].all()
 
 
@@ -580,14 +593,14 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
-@pytest.mark.parametrize("case", ["plants", "no canopy", "in view", "within limits"])
+@pytest.mark.parametrize("case", ["plants", "in view", "within limits"])
 def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, case):
-    """Of a field of plants more than half is left out, from above, only where the canopy hides what is below. The highest hide
-    from the first pass that those beside them stick out, too."""
+    """Of a field of plants more than half is left out, from above, only where the limits say so. The highest hide from the first
+    pass that those beside them stick out, too."""
     xy = rng.uniform(0, 40, (1200, 2)).round(2)
     above = np.column_stack([rng.uniform(0, 40, (6000, 2)).round(2), rng.uniform(8, 12, 6000)])
     plants = np.column_stack([xy, rng.uniform(0, 1.2, 1200)])
-    xyz = points_of(np.concatenate([plants, above[: 600 if case == "no canopy" else 6000]]))
+    xyz = points_of(np.concatenate([plants, above]))
     low = xyz[:, 2] < xyz[:, 2].min() + 2
     least = 2.0 if case == "within limits" else 0.15
     scene = scene_of(np.zeros((45, 45)), jf.OST(noise=least))

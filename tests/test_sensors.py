@@ -66,7 +66,6 @@ def test_for_cloud_sets_limits_by_the_sensor():
     assert thin.sensor == thick.sensor == DRONE
     assert thick.tolerance / thin.tolerance == pytest.approx(0.04 / 0.015, rel=0.15)
     assert thick.noise == thick.tolerance and thin.tolerance < jf.OST().tolerance
-    assert thin.low_points == 2 / 0.25**2  # two square metres of the squares for which one point stands
     photographs = jf.OST.for_cloud(scene(MATCHING).cloud)
     car = jf.OST.for_cloud(scene(MOBILE).cloud)
     voids = RULES["voids"]

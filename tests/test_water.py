@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.steps.rules.crossings import Crossed, Crossings, Sizes, Surface
+from jaxfilter.steps.rules.crossings import Crossed, CrossingsRule, LowestSurface, Sizes
 
 SHAPE = (80, 100)
 SIZES = Sizes(cell=1.0, spacing=0.7, widest=50.0, step=0.42, drop=1.8, area=30.0)
@@ -17,7 +17,9 @@ VALLEY = np.where(abs(COLUMNS - 50) < 15, np.float32(-5), np.float32(0))
 def crossed(z: np.ndarray, inside: np.ndarray, objects: np.ndarray, points: np.ndarray | int = 4) -> Crossed:
     """What is found in a surface with ``points`` in each cell."""
     seen, points = np.ones(z.shape, bool), np.broadcast_to(points, z.shape)
-    return Crossings().find(Surface(z.astype(np.float32), seen, inside, objects, points, np.float32(0)), SIZES)
+    return CrossingsRule().find(
+        LowestSurface(z.astype(np.float32), seen, inside, objects, points, np.float32(0)), SIZES
+    )
 
 
 def found(z: np.ndarray) -> np.ndarray:

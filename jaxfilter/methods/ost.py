@@ -6,7 +6,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ..steps.landscape import landscape_slope
 from ..steps.objects import Parts
 from ..steps.outliers import LOW_DEPTH, lowest_few
 from ..steps.pruning import Scatter, drop_vertices
-from ..steps.rules import RULES, Rule, Scene
+from ..steps.rules import RULES, OstRule, OstScene
 from ..steps.rules.plants import sides_of
 from ..steps.rules.scene import filled, grid_of
 from ..steps.sensors import AIRBORNE, KINDS, MATCHING, MOBILE, SensorFacts
@@ -198,7 +198,8 @@ class OST(Filter):
         own = super().from_points(points, largest_building) | {"sensor": kind}
         sheet = SHEET_TOLERANCE * thickness
         if kind == MATCHING:
-            own |= {"tolerance": max(cls.tolerance, sheet), "noise": max(cls.noise, sheet)}
+            half = cls.rounds // 2  # densification climbs the ramps that photographs make of walls
+            own |= {"tolerance": max(cls.tolerance, sheet), "noise": max(cls.noise, sheet), "rounds": half}
         elif kind != AIRBORNE:
             own |= {"tolerance": sheet, "tolerance_spacing": 0.0, "noise": sheet}
         return own | ({"spacing": sparse} if kind == MOBILE else {})
@@ -212,7 +213,7 @@ class OST(Filter):
         """The cells, and whole ones of those that plants are looked for in, where the spacing is given."""
         return period(self.cell, sides_of(self.cell, self.spacing or 0.0, self.window)[-1])
 
-    def active(self) -> list[Rule]:
+    def active(self) -> list[OstRule]:
         """The rules that take their turn, in the order of :data:`jaxfilter.steps.rules.RULES`."""
         named = self.rules
         return [
@@ -243,7 +244,7 @@ class OST(Filter):
         progress(1.0, "done")
         return labels
 
-    def scene(self, points: Points, workers: int | None, progress: Progress) -> Scene:
+    def scene(self, points: Points, workers: int | None, progress: Progress) -> OstScene:
         """Steps 1 to 3, which do not depend on what counts as steep."""
         progress(0.0, "low points")
         scene = copy.copy(self.surface(points, workers))
@@ -251,15 +252,19 @@ class OST(Filter):
         scene.ost, scene.steepest, scene.segments = self, self.drops(points, scene), self.segments(points, scene)
         return scene
 
-    @stage
-    def surface(self, points: Points, workers: int | None) -> Scene:
-        """Low points, the lowest point of each cell, and the surface through these (steps 1 and 2)."""
-        spacing, rules = points.spacing() if self.spacing is None else self.spacing, self.active()
-        scene = Scene(self, points, spacing)
+    def bar(self, points: Points) -> OstScene:
+        """A scene with its low points (step 1)."""
+        scene = OstScene(self, points, points.spacing() if self.spacing is None else self.spacing)
         scene.low = lowest_few(points, float(self.window), LOW_DEPTH, self.low_points)
         scene.plants = scene.veil = np.zeros(len(points), bool)
-        for rule in rules:
+        for rule in self.active():
             rule.bar(scene)
+        return scene
+
+    @stage
+    def surface(self, points: Points, workers: int | None) -> OstScene:
+        """Low points, the lowest point of each cell, and the surface through these (steps 1 and 2)."""
+        scene = self.bar(points)
         self.grid(scene)
         if not has_area(points.xyz[scene.lowest]):  # a cloud of a few cells
             scene.low = scene.veil = np.zeros(len(points), bool)
@@ -267,11 +272,11 @@ class OST(Filter):
             scene.lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         scene.tin = triangulated(points.xyz[scene.lowest], workers)
         scene.z, scene.inside = filled(scene.tin, scene.cells)
-        for rule in rules:
+        for rule in self.active():
             rule.fill(scene)
         return scene
 
-    def grid(self, scene: Scene) -> None:
+    def grid(self, scene: OstScene) -> None:
         """Cells, and the points that are lowest in theirs."""
         scene.cells = grid_of(scene, self.cell)
         xyz = scene.points.xyz
@@ -280,7 +285,7 @@ class OST(Filter):
         )
 
     @stage
-    def drops(self, points: Points, scene: Scene) -> np.ndarray:
+    def drops(self, points: Points, scene: OstScene) -> np.ndarray:
         """f32[rows, columns]: metres per cell of radius that openings lower each cell by, at most (step 3)."""
         (rows, columns), wide = scene.z.shape, scene.cells.valid.shape
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
@@ -293,12 +298,12 @@ class OST(Filter):
         return np.asarray(drops)[:rows, :columns] * np.float32(unit)
 
     @stage
-    def segments(self, points: Points, scene: Scene) -> Parts:
+    def segments(self, points: Points, scene: OstScene) -> Parts:
         """Cells that differ little from one to the next (step 5)."""
         step, area = float(self.roof_step), float(self.roof_area)
         return Parts.from_elevations(scene.z, scene.inside, scene.seen, self.cell, step, area)
 
-    def judge(self, scene: Scene, rules: list[Rule]) -> np.ndarray:
+    def judge(self, scene: OstScene, rules: list[OstRule]) -> np.ndarray:
         """The slope of the landscape, and which cells are objects (steps 4 and 5); f32[rows, columns]: from which drop on cells
         are marked, metres per cell."""
         objects = scene.steepest > np.float32(FIRST_SLOPE * self.cell)
@@ -315,7 +320,7 @@ class OST(Filter):
             rule.judge(scene)
         return np.maximum(limit, np.float32(1e-6))
 
-    def roofs(self, scene: Scene) -> np.ndarray:
+    def roofs(self, scene: OstScene) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.
 
         What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then
@@ -330,41 +335,39 @@ class OST(Filter):
         whole = (inside >= self.roof_share * found.cells) | (falling >= self.roof_drop_share * border)
         return (whole & (found.cells > 0))[segments.number]
 
-    def seed(self, scene: Scene, rules: list[Rule]) -> None:
+    def seed(self, scene: OstScene, rules: list[OstRule]) -> None:
         """The lowest points of cells that are no objects, and how near to the ground points join (steps 6 and 7)."""
         in_object, slope = look_up(scene.points.xyz, scene.cells, scene.objects, scene.slope)
         scene.seeds, scene.never = scene.lowest[~in_object[scene.lowest]], np.zeros(len(in_object), bool)
-        distance = self.max_distance * self.tolerated(scene.spacing)
-        scene.distance = np.float32(distance) + np.float32(self.distance_relief * scene.spacing) * slope
+        scene.distance = np.asarray(self.limits(scene.spacing, slope).then.distance)
         for rule in rules:
             rule.seed(scene)
         if not has_area(scene.points.xyz[scene.seeds]):
             scene.seeds = scene.lowest
 
     def grow(
-        self, scene: Scene, crowd: Crowd | None, rules: list[Rule], workers: int | None, progress: Progress
+        self, scene: OstScene, crowd: Crowd | None, rules: list[OstRule], workers: int | None, progress: Progress
     ) -> tuple[Labels, Scatter]:
         """Ground grows from the seeds, and vertices that stick out are dropped (steps 6 to 8)."""
-        points, spacing, never = scene.points, scene.spacing, scene.low | scene.never
-        height, slope = self.tolerated(spacing), look_up(scene.points.xyz, scene.cells, scene.slope)[0]
-        angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * slope
-        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
-        first = HeightRule(height, max(self.scaling * min(spacing, 1.0), self.noise))
-        growth = Growth(first, vertices=Vertices(sinks=False), beyond=beyond, kept=("margin", "height", "slope"))
+        points, slope = scene.points, look_up(scene.points.xyz, scene.cells, scene.slope)[0]
+        limits = self.limits(scene.spacing, slope)
+        kept = ("margin", "height", "slope")
+        growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, scene.seeds, np.zeros((0, 2)), Outliers(scene.low, np.zeros_like(scene.low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         progress(0.5, "triangulation")
         with GroundTin.start(network, growth, workers=workers) as ground:
             ground.margin.fill(0)
-            ground.change(first, but=never)
+            ground.change(limits.first, but=scene.low | scene.never)
             ground.step()
-            distance = np.where(scene.never, np.float32(-1), scene.distance)
-            ground.change(AngleRule(distance, angle, float(self.noise)))
+            ground.change(limits.then._replace(distance=np.where(scene.never, np.float32(-1), scene.distance)))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
             return self.pruned(scene, ground, crowd, rules)
 
-    def pruned(self, scene: Scene, ground: GroundTin, crowd: Crowd | None, rules: list[Rule]) -> tuple[Labels, Scatter]:
+    def pruned(
+        self, scene: OstScene, ground: GroundTin, crowd: Crowd | None, rules: list[OstRule]
+    ) -> tuple[Labels, Scatter]:
         """Vertices that stick out are dropped (step 8); the labels of all points, and how vertices scatter around them."""
         scatter, whole = Scatter.from_vertices(ground.tin), scene.points.cloud.whole
         spread = scatter.deviation(ground.tin) if whole is None or whole.scatter is None else whole.scatter
@@ -384,6 +387,23 @@ class OST(Filter):
     def tolerated(self, spacing: float) -> float:
         """Metres from the triangulation up to which points are ground, t."""
         return float(self.tolerance + self.tolerance_spacing * min(spacing, 1.0))
+
+    def limits(self, spacing: float, slope: np.ndarray) -> Limits:
+        """How far from the triangulation points are ground. ``spacing``: metres; ``slope``: f32[m], of the landscape around them,
+        rise over run."""
+        height, tilt = self.tolerated(spacing), max(self.scaling * min(spacing, 1.0), self.noise)
+        angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * slope
+        distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * slope
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        return Limits(HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond)
+
+
+class Limits(NamedTuple):
+    """The rules of OST's growth: the ``first`` round, those ``then``, and ``beyond`` the hull (steps 6 and 7)."""
+
+    first: HeightRule
+    then: AngleRule
+    beyond: Beyond
 
 
 @of_scene.register(OST)

@@ -123,7 +123,7 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
             seeds[wet[_find_surface(points.xyz[wet])]] = True
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
-        seeds[_find_seeds(points, places & ~filter_.low(points), seeds)] = True
+        seeds[_find_seeds(points, places & ~filter_.bar(points).low, seeds)] = True
     barred = _find_sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
     seeds &= ~barred
     grows = (np.isin(word, (GROUND, OBJECT)) | (rim != "")) & ~barred
@@ -236,7 +236,7 @@ def _grow_through(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_:
     seed, none = seeds[rows], np.zeros(len(rows), bool)
     around = np.full(len(rows), _slope_of(some.xyz[seed], points.anchored()), np.float32)
     spacing = points.spacing() if filter_.spacing is None else filter_.spacing
-    limits = filter_.limits(spacing, around, np.float32(0))
+    limits = filter_.limits(spacing, around)
     kept = ("margin", "height", "slope")
     growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
     network = one_network(some, np.flatnonzero(seed), np.zeros((0, 2)), Outliers(none, none))

@@ -118,8 +118,9 @@ def veiled(points: Points, cells: Cells, around: float, high: np.ndarray) -> np.
     """bool[rows, columns], of the shape of ``cells``: where plants hide the ground, by the points within ``around`` metres along
     both axes.
 
-    See :data:`VEILED`; ``high``: bool[m], points that stand above others, see :func:`standing`. There must be two points to a cell
-    in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are; points of weight zero do not count.
+    See :data:`VEILED`; ``high``: bool[m], points that stand above others, see :func:`standing`. There must be two points to a
+    cell in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are; those of weight zero do not
+    count.
     """
     (rows, columns), at = cells.grid.shape, cells.grid.flat(points.xyz)
     seen = np.asarray(cells.seen)[:rows, :columns]

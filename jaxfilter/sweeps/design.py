@@ -81,7 +81,8 @@ def make_design(
 def _values(name: str, values: Any) -> list[Any]:
     if hasattr(values, "__array__"):
         values = np.asarray(values)
-    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or not np.shape(values):
+    listed = isinstance(values, Sequence) or (isinstance(values, np.ndarray) and values.ndim > 0)
+    if isinstance(values, (str, bytes)) or not listed:
         raise ParameterError(f"axes: {name}={values!r}: give a list of values")
     if len(values) == 0:
         raise ParameterError(f"axes: {name} is empty")
@@ -89,7 +90,8 @@ def _values(name: str, values: Any) -> list[Any]:
     for value in out:
         if isinstance(value, float) and math.isnan(value):
             raise ParameterError(f"axes: {name}={out!r} holds NaN")
-        if isinstance(value, (list, tuple, dict, np.ndarray)):
+        names = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+        if isinstance(value, (list, tuple, dict, np.ndarray)) and not names:
             raise ParameterError(f"axes: {name}={out!r}: values must be plain numbers or words, in one dimension")
     return out
 

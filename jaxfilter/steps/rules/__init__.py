@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from .crossings import Crossings
-from .embankments import Embankments
-from .halls import Halls
-from .low_clusters import LowClusters
-from .pits import Pits
-from .plants import Plants
-from .ramps import Ramps
-from .scene import Rule, Scene
-from .steep import Steep
-from .voids import Voids
+from .crossings import CrossingsRule
+from .embankments import EmbankmentsRule
+from .halls import HallsRule
+from .low_clusters import LowClustersRule
+from .pits import PitsRule
+from .plants import PlantsRule
+from .ramps import RampsRule
+from .scene import OstRule, OstScene
+from .steep import SteepRule
+from .voids import VoidsRule
 
-RULES: dict[str, Rule] = {
-    "clusters": LowClusters(),
-    "pits": Pits(),
-    "plants": Plants(),
-    "voids": Voids(),
-    "halls": Halls(),
-    "steep": Steep(),
-    "embankments": Embankments(),
-    "crossings": Crossings(),
-    "ramps": Ramps(),
+RULES: dict[str, OstRule] = {
+    "clusters": LowClustersRule(),
+    "pits": PitsRule(),
+    "plants": PlantsRule(),
+    "voids": VoidsRule(),
+    "halls": HallsRule(),
+    "steep": SteepRule(),
+    "embankments": EmbankmentsRule(),
+    "crossings": CrossingsRule(),
+    "ramps": RampsRule(),
 }
 """In the order in which they take their turn. A rule of one's own is entered here under its name."""
 
-__all__ = ["RULES", "Rule", "Scene"]
+__all__ = ["RULES", "OstRule", "OstScene"]

@@ -15,7 +15,7 @@ from ...core.water import WaterCells
 from ...engines.grid.extremes import highest, lowest
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import look_up, number_in
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 _BLOCK = 16
 """Cells along a side of the squares by which cells are grouped; it changes no result."""
@@ -23,7 +23,7 @@ _HALF = 2
 """Cells on each side of one whose surroundings must be level."""
 
 
-class Surface(NamedTuple):
+class LowestSurface(NamedTuple):
     """A grid of lowest points.
 
     Attributes:
@@ -66,7 +66,7 @@ class Crossed(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Crossings(Rule):
+class CrossingsRule(OstRule):
     """Where water and bridge decks are in a grid of lowest points.
 
     A **deck** lies between two upright edges on a line across. Its cells, which differ by less than a step from one to the next,
@@ -106,10 +106,10 @@ class Crossings(Rule):
     higher: float = 0.5
     """Of the rim of a body that is higher than its surface, less what is lower, at least."""
 
-    def seed(self, scene: Scene) -> None:
+    def seed(self, scene: OstScene) -> None:
         """What is at a deck or above, and what is above or below water, but at its shore, is never ground."""
         ost, xyz = scene.ost, scene.points.xyz
-        surface = Surface(
+        surface = LowestSurface(
             scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells), scene.slope
         )
         step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
@@ -120,7 +120,7 @@ class Crossings(Rule):
         scene.never |= (xyz[:, 2] > deck - np.float32(step)) | (np.abs(xyz[:, 2] - level) > 2 * self.surface)
         scene.seeds = scene.seeds[~scene.never[scene.seeds]]
 
-    def label(self, scene: Scene, labels: Labels) -> None:
+    def label(self, scene: OstScene, labels: Labels) -> None:
         """Points of decks and of the surface of water are marked."""
         xyz, cloud, grid = scene.points.xyz, scene.points.cloud, scene.cells.grid
         deck, level = look_up(xyz, scene.cells, scene.deck, scene.level)
@@ -131,7 +131,7 @@ class Crossings(Rule):
                 cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell)
             )
 
-    def find(self, surface: Surface, sizes: Sizes) -> Crossed:
+    def find(self, surface: LowestSurface, sizes: Sizes) -> Crossed:
         """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
         body are judged as a whole."""
         z, seen, inside, objects, points, slope = surface

@@ -9,17 +9,17 @@ import numpy as np
 
 from ..objects import EVEN, FURTHER, MOST
 from ..sensors import AIRBORNE, DRONE
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class Embankments(Rule):
+class EmbankmentsRule(OstRule):
     """Smooth parts of the objects that fall on banks, not at walls, are ground. Earth lies at less than 45 degrees. On a bank the
     surface goes on falling, or rises behind as it falls in front; at a wall, or a crown, it falls at once."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
 
-    def give_back(self, scene: Scene) -> None:
+    def give_back(self, scene: OstScene) -> None:
         from ...engines.grid.shapes import banks, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..objects import EVEN, MOST
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class Halls(Rule):
+class HallsRule(OstRule):
     """Segments with small steps between them are objects together, if the surface falls along their border. What the edge of the
     data cuts is an object if it has high walls, of twice ``roof_drop``, along nearly all of its border inside, and as many cells
     on that border as at the edge of the data, as a rectangle that a corner cuts: a plateau has not."""
@@ -21,7 +21,7 @@ class Halls(Rule):
     """Shares of ``roof_drop`` below which steps join segments. Fewer trees beside a wall are a way down by the smaller ones;
     parts of a large building differ by the larger one."""
 
-    def judge(self, scene: Scene) -> None:
+    def judge(self, scene: OstScene) -> None:
         one, drop, share = scene.segments, float(scene.ost.roof_drop), float(scene.ost.roof_drop_share)
         whole = scene.whole.copy()
         for group in (one, *(one.joined(scene.z, level * drop) for level in self.levels)):

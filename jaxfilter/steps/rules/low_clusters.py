@@ -8,16 +8,16 @@ from typing import ClassVar
 from ..outliers import LOW_DEPTH, low_clusters, scattered
 from ..sensors import AIRBORNE
 from .plants import hidden, sides_of
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class LowClusters(Rule):
+class LowClustersRule(OstRule):
     """Points below all around them are low if they are alone, or in clusters that scatter; not where plants hide the ground."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE,)
 
-    def bar(self, scene: Scene) -> None:
+    def bar(self, scene: OstScene) -> None:
         most = scene.ost.low_points
         if most == 0:
             return

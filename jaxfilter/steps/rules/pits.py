@@ -7,11 +7,11 @@ from typing import ClassVar
 
 from ..outliers import pits
 from ..sensors import DRONE, MATCHING
-from .scene import Rule, Scene, grid_of
+from .scene import OstRule, OstScene, grid_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Pits(Rule):
+class PitsRule(OstRule):
     """Points below what surrounds them are low, in pits of a few cells. A ditch is longer."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, DRONE)
@@ -20,5 +20,5 @@ class Pits(Rule):
     area: float = 12.0
     """Square metres of a pit at most."""
 
-    def bar(self, scene: Scene) -> None:
+    def bar(self, scene: OstScene) -> None:
         scene.low = scene.low | pits(scene.points.xyz, grid_of(scene, scene.ost.cell), self.depth, self.area)

@@ -12,25 +12,25 @@ from ..pruning import Scatter, drop_vertices
 from ..seeds import ABOVE, rising, standing, veiled
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import cell_for, look_up
-from .scene import Rule, Scene, grid_of
+from .scene import OstRule, OstScene, grid_of
 
 BESIDE, STEEP = 10.0, 1.25
 """Metres from a seed to others, and rise over run, by which it must not rise from these: no ground under plants does, nor what is
 seen of a ramp."""
-CELL = 2.0
+PLANT_CELL = 2.0
 """Spacings along the side of the cells in which plants are looked for: they hold four points."""
 
 
 def sides_of(cell: float, spacing: float, window: float) -> list[float]:
-    """Metres along the sides of the cells in which plants are looked for: each twice the one before, where the first is wider than
-    a cell of the surface, up to ``window``."""
-    sides = [max(cell, cell_for(spacing, CELL))]
+    """Metres along the sides of the cells in which plants are looked for. If the first is wider than a cell of the surface, more
+    follow, each twice as wide as the one before, up to ``window``."""
+    sides = [max(cell, cell_for(spacing, PLANT_CELL))]
     while cell < sides[0] and 2 * sides[-1] <= window:
         sides.append(2 * sides[-1])
     return sides
 
 
-def hidden(scene: Scene, side: float, height: float = ABOVE) -> tuple[np.ndarray, np.ndarray]:
+def hidden(scene: OstScene, side: float, height: float = ABOVE) -> tuple[np.ndarray, np.ndarray]:
     """bool[m] each: points where plants hide the ground, by cells of this side that are within 10 m; and points there that stand
     ``height`` metres above others (:func:`jaxfilter.steps.seeds.veiled`)."""
     cells, points = grid_of(scene, side), scene.points
@@ -40,7 +40,7 @@ def hidden(scene: Scene, side: float, height: float = ABOVE) -> tuple[np.ndarray
     return found, found & high
 
 
-def without_rising(scene: Scene, suspect: np.ndarray, sides: int) -> np.ndarray:
+def without_rising(scene: OstScene, suspect: np.ndarray, sides: int) -> np.ndarray:
     """i64: the seeds without those of the suspect ones, bool[seeds], that rise steeply from others in so many quadrants."""
     seeds, found = scene.seeds, suspect.copy()
     found[suspect] = rising(scene.points.xyz, seeds[suspect], seeds, BESIDE, STEEP, sides)
@@ -48,7 +48,7 @@ def without_rising(scene: Scene, suspect: np.ndarray, sides: int) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Plants(Rule):
+class PlantsRule(OstRule):
     """Where plants hide the ground, the surface is made without plants, seeds must not rise
     steeply from others, and vertices must not stick out of those beside them."""
 
@@ -58,7 +58,7 @@ class Plants(Rule):
     passes: int = 3
     """Times that vertices are judged: beside high plants those that are less high do not stick out."""
 
-    def bar(self, scene: Scene) -> None:
+    def bar(self, scene: OstScene) -> None:
         """Where plants hide the ground; and there, where points are few, the surface is made without what stands above others.
 
         If plants hide the ground by the points that are left, too, cells are twice as wide, and so on. What counts as high grows
@@ -74,11 +74,11 @@ class Plants(Rule):
         if sides[0] > ost.cell:
             scene.veil = scene.veil | (here & high)
 
-    def seed(self, scene: Scene) -> None:
+    def seed(self, scene: OstScene) -> None:
         """Seeds that rise are dropped."""
         scene.seeds = without_rising(scene, scene.plants[scene.seeds], self.sides)
 
-    def prune(self, scene: Scene, ground: GroundTin, scatter: Scatter) -> int:
+    def prune(self, scene: OstScene, ground: GroundTin, scatter: Scatter) -> int:
         """Vertices are dropped that stick out by more than those beside them do, than ``noise``, and than a share of the spacing
         that grows with the slope of the landscape."""
         ost, dropped = scene.ost, 0

@@ -10,16 +10,16 @@ import scipy
 from ..sensors import MATCHING, MOBILE
 from ..surfaces import look_up
 from .plants import without_rising
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class Ramps(Rule):
+class RampsRule(OstRule):
     """Seeds beside an object, or a cell without points, must not rise steeply from others."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, MOBILE)
 
-    def seed(self, scene: Scene) -> None:
+    def seed(self, scene: OstScene) -> None:
         """Seeds that rise are dropped."""
-        near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen)
+        near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen, border_value=1)
         scene.seeds = without_rising(scene, look_up(scene.points.xyz[scene.seeds], scene.cells, near)[0], 1)

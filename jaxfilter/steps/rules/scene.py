@@ -19,7 +19,7 @@ from ..surfaces import Cells, lowest_cells, positions
 
 
 @dataclasses.dataclass(eq=False)
-class Scene:
+class OstScene:
     """What OST knows of a cloud, in the order in which it finds out. Grids are [rows, columns], without padding.
 
     Attributes:
@@ -75,7 +75,7 @@ class Scene:
 
 
 @dataclasses.dataclass(frozen=True)
-class Rule:
+class OstRule:
     """A rule of OST: a frozen value that holds its constants. It changes the scene after a step, where it defines one of these
     methods. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
 
@@ -85,30 +85,30 @@ class Rule:
     SENSORS: ClassVar[tuple[str, ...]] = KINDS
     """The kinds of clouds that the rule is for, where no rules are named."""
 
-    def bar(self, scene: Scene) -> None:
+    def bar(self, scene: OstScene) -> None:
         """After low points: change ``low``, or ``plants`` and ``veil``."""
 
-    def fill(self, scene: Scene) -> None:
+    def fill(self, scene: OstScene) -> None:
         """After the surface: change ``z``."""
 
-    def give_back(self, scene: Scene) -> None:
+    def give_back(self, scene: OstScene) -> None:
         """After openings and segments, twice, since the slope of the landscape needs to know what is ground: change ``back``."""
 
-    def judge(self, scene: Scene) -> None:
+    def judge(self, scene: OstScene) -> None:
         """After that: change ``whole``."""
 
-    def seed(self, scene: Scene) -> None:
+    def seed(self, scene: OstScene) -> None:
         """After seeds: change ``seeds``, ``never`` or ``distance``."""
 
-    def prune(self, scene: Scene, ground: GroundTin, scatter: Scatter) -> int:
+    def prune(self, scene: OstScene, ground: GroundTin, scatter: Scatter) -> int:
         """After pruning: drop more vertices of the triangulation; how many. ``scatter``: of the vertices before pruning."""
         return 0
 
-    def label(self, scene: Scene, labels: Labels) -> None:
+    def label(self, scene: OstScene, labels: Labels) -> None:
         """At the end: change labels. ``scene.points`` are all points here, also those for which another stands."""
 
 
-def grid_of(scene: Scene, cell: float) -> Cells:
+def grid_of(scene: OstScene, cell: float) -> Cells:
     """The lowest point of each square of ``cell`` metres, without those that are too low, or in the veil. Squares are centred on
     the lattice."""
     x, y = scene.points.offset(cell)

@@ -12,11 +12,11 @@ from ...core.filter import Labels
 from ..objects import EVEN
 from ..sensors import spreads
 from ..surfaces import highest_in, look_up
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class Steep(Rule):
+class SteepRule(OstRule):
     """Parts of the objects that are steep, bare and no roofs, and have no walls, are ground. Near them distances grow, all seeds
     count, and rock over a void is ground.
 
@@ -32,7 +32,7 @@ class Steep(Rule):
     sheet: float = 1.5
     """Standard deviation at most that points of rock lie from their plane in a cell, in ``roof_step``. Leaves scatter by more."""
 
-    def give_back(self, scene: Scene) -> None:
+    def give_back(self, scene: OstScene) -> None:
         from ...engines.grid.shapes import faces, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))
@@ -46,7 +46,7 @@ class Steep(Rule):
         scene.rock = scene.rock | (rock & (cells > 0))[part]
         scene.back = scene.back | scene.rock
 
-    def seed(self, scene: Scene) -> None:
+    def seed(self, scene: OstScene) -> None:
         """Within ``window`` of such terrain no plants are looked for, and distances grow by the side of a cell times the slope of
         the landscape: on rough rock the other points of a cell lie that much above its lowest."""
         if not scene.rock.any():
@@ -55,13 +55,13 @@ class Steep(Rule):
         scene.plants = scene.plants & ~near
         scene.distance = scene.distance + near * np.float32(scene.ost.cell) * slope
 
-    def label(self, scene: Scene, labels: Labels) -> None:
+    def label(self, scene: OstScene, labels: Labels) -> None:
         """Rock over a void is ground, unless it is barred; the triangulation stays as it is."""
         if scene.rock.any():
             rock = self.overhangs(scene) & ~(labels.ground | labels.barred)
             labels.ground[rock], labels.margin[rock] = True, 0
 
-    def overhangs(self, scene: Scene) -> np.ndarray:
+    def overhangs(self, scene: OstScene) -> np.ndarray:
         """bool[n]: points of rock over a void, which a surface with one elevation at a place cannot have beside what is beneath.
 
         Of the points in a cell those above the highest void count. They must be a sheet, and go on in a cell beside it: some
@@ -96,6 +96,6 @@ class Steep(Rule):
         return found
 
 
-def near_rock(scene: Scene) -> np.ndarray:
+def near_rock(scene: OstScene) -> np.ndarray:
     """bool[rows, columns]: cells within ``window`` of steep terrain that is ground."""
     return scipy.ndimage.distance_transform_edt(~scene.rock) * scene.ost.cell <= scene.ost.window

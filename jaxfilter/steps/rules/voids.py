@@ -12,14 +12,14 @@ import numpy as np
 from ..outliers import LOW_DEPTH
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import positions
-from .scene import Rule, Scene
+from .scene import OstRule, OstScene
 
 
 @dataclasses.dataclass(frozen=True)
-class Voids(Rule):
+class VoidsRule(OstRule):
     """Triangles across a void hang at the lowest elevation around those of their corners that are 2 m above it: so a roof at the
-    edge of water stands out from it, as it does from land, and low terraces and plants do not. Voids of photographs, and of scans
-    from a car, are no water."""
+    edge of water stands out from it, as it does from land, and low terraces and plants do not. Voids of photographs, and of
+    scans from a car, are no water."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
     edge: float = 8.0
@@ -27,7 +27,7 @@ class Voids(Rule):
     rim: float = 0.2
     """Of the window: so far around a corner the lowest cell counts."""
 
-    def fill(self, scene: Scene) -> None:
+    def fill(self, scene: OstScene) -> None:
         from ...engines.grid.shapes import draw  # imports Numba
 
         tin, cell = scene.tin, scene.ost.cell
