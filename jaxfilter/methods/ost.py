@@ -57,45 +57,38 @@ _SAMPLE = 2_000_000
 class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
-    1. Low points are barred: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
-       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). In lidar from the air points below all around them are
-       barred as well, if they are alone or in clusters that scatter (:func:`jaxfilter.steps.outliers.scattered`), and if plants
-       do not hide the ground.
-    2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
-       edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
-       as water, stands out from it.
+    The core has eight steps:
+
+    1. Low points are no seeds: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
+       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`).
+    2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points.
     3. Progressive openings with disks of 1, 2, ... cells (after Zhang et al. 2003 and Pingel et al. 2013). Each cell
        remembers its steepest drop S: metres that the k-th opening lowers it by, over k cells.
     4. The slope of the landscape, G: that between means of blocks of cells that are no objects, averaged with a Gaussian of
        ``landscape`` metres. Cells with S > ``slope`` + ``relief`` G are marked.
     5. Segments of cells that differ by less than ``roof_step`` from one to the next are objects as a whole if ``roof_share``
-       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border; so are
-       groups of them, as roofs of several levels are. Parts of all these cells that are bare and steep without walls are
-       terrain, and so are smooth ones that fall on banks, as the crests of dikes do. Steps 4 and 5 are repeated once, since G
-       needs to know what is an object.
-    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. Where plants hide the ground, and
-       in photographs and scans from a car beside objects and voids, they must not rise steeply from others. On their
-       triangulation all points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
+       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Steps 4
+       and 5 are repeated once, since G needs to know what is an object.
+    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. On their triangulation all
+       points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
        be within the angle of the nearest place on it, too.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
-       neighbours, are dropped; sooner, and in three passes, where plants hide the ground.
+       neighbours, are dropped.
 
-    Rock over a void beside steep terrain is ground as well, though the triangulation does not hold it
-    (:mod:`jaxfilter.steps.overhangs`).
+    ``rules`` change what these steps have found: clusters and pits of low points, voids, halls, steep terrain with overhangs,
+    embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own (:mod:`jaxfilter.steps.rules`);
+    ``rules=()`` is the core alone.
 
     Of more than 32 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.
 
-    Of lidar from the air, points of bridge decks are marked as ``deck`` and never become ground, nor does what stands on water;
-    points of the surface of water are marked as ``water`` and stay ground (:mod:`jaxfilter.steps.decks`,
-    :mod:`jaxfilter.steps.water`).
-
     The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
     took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
-    probability that the label is wrong (docs/doubt.md). ``info`` counts ``seeds``, ``objects`` (cells) and
-    ``pruned``, and holds the ``scatter`` of the scene. Lengths in metres, angles in degrees.
+    probability that the label is wrong (docs/doubt.md). ``deck`` marks points of bridge decks, which are no ground, and ``water``
+    those of the surface of water, which are. ``info`` counts ``seeds``, ``objects`` (cells) and ``pruned``, and holds the
+    ``scatter`` of the scene. Lengths in metres, angles in degrees.
 
     Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
 
@@ -105,6 +98,8 @@ class OST(Filter):
     >>> wrong = np.nansum(result.doubt)  # expected number of errors
     >>> bool(0 < wrong < 0.2 * len(cloud))
     True
+    >>> jf.OST(rules=["plants", "halls"]).rules
+    ('halls', 'plants')
     """
 
     cell: float = static("a grid cell is this wide", "> 0 m", default=1.0)
@@ -192,8 +187,7 @@ class OST(Filter):
 
     @classmethod
     def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
-        """As by the spacing, and the sensor. Where it is not airborne lidar, tolerances follow the thickness of its sheet, and
-        voids of photographs and of scans from a car are no water at which roofs end."""
+        """As by the spacing, and the sensor. Where it is not airborne lidar, tolerances follow the thickness of its sheet."""
         kind, thickness, sparse = SensorFacts.from_points(points)
         own = super().from_points(points, largest_building) | {"sensor": kind}
         sheet = SHEET_TOLERANCE * thickness
@@ -289,13 +283,13 @@ class OST(Filter):
         """f32[rows, columns]: metres per cell of radius that openings lower each cell by, at most (step 3)."""
         (rows, columns), wide = scene.z.shape, scene.cells.valid.shape
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
-        z, unit = scene.z, 1.0
-        level = np.floor(z / np.float32(LEVEL))
-        if np.ptp(level) < 2**16 - 1:  # processors compare such integers in half the time
-            z, unit = (level - level.min() - 2**15).astype(np.int16), LEVEL
-        z = np.pad(z, [(0, wide[0] - rows), (0, wide[1] - columns)])
-        drops = steepest_drops(z, scene.cells.valid, reach, most=roomy(reach))
-        return np.asarray(drops)[:rows, :columns] * np.float32(unit)
+        level = np.floor(scene.z / np.float32(LEVEL)).astype(np.int32)
+        level -= level.min() + 2**15
+        if level.max() < 2**15 - 1:  # processors compare these in half the time
+            level = level.astype(np.int16)
+        level = np.pad(level, [(0, wide[0] - rows), (0, wide[1] - columns)])
+        drops = steepest_drops(level, scene.cells.valid, reach, most=roomy(reach))
+        return np.asarray(drops)[:rows, :columns] * np.float32(LEVEL)
 
     @stage
     def segments(self, points: Points, scene: OstScene) -> Parts:

@@ -57,7 +57,8 @@ class Parts:
 
         least = area / cell**2
         number, last = segments(np.where(inside, z, np.float32(np.nan)), np.float32(step), least)
-        return cls(number, last, *falls(number, z, seen, FURTHER), inside, seen, cell, least)
+        fall, walls = falls(number, z, seen, FURTHER)
+        return cls(number, last, fall, walls, inside, seen, cell, least)
 
     def joined(self, z: np.ndarray, step: float) -> Parts:
         """Those with another step between cells."""

@@ -16,12 +16,12 @@ from .voids import VoidsRule
 RULES: dict[str, OstRule] = {
     "clusters": LowClustersRule(),
     "pits": PitsRule(),
-    "plants": PlantsRule(),
     "voids": VoidsRule(),
     "halls": HallsRule(),
     "steep": SteepRule(),
     "embankments": EmbankmentsRule(),
     "crossings": CrossingsRule(),
+    "plants": PlantsRule(),
     "ramps": RampsRule(),
 }
 """In the order in which they take their turn. A rule of one's own is entered here under its name."""

@@ -17,7 +17,7 @@ class HallsRule(OstRule):
     data cuts is an object if it has high walls, of twice ``roof_drop``, along nearly all of its border inside, and as many cells
     on that border as at the edge of the data, as a rectangle that a corner cuts: a plateau has not."""
 
-    levels: tuple[float, ...] = (2 / 3, 1.0, 5 / 3)
+    levels: tuple[float, ...] = (2 / 3, 5 / 3)
     """Shares of ``roof_drop`` below which steps join segments. Fewer trees beside a wall are a way down by the smaller ones;
     parts of a large building differ by the larger one."""
 

@@ -57,8 +57,8 @@ class SteepRule(OstRule):
 
     def label(self, scene: OstScene, labels: Labels) -> None:
         """Rock over a void is ground, unless it is barred; the triangulation stays as it is."""
-        if scene.rock.any():
-            rock = self.overhangs(scene) & ~(labels.ground | labels.barred)
+        if scene.rock.any() and labels.margin is not None and labels.barred is not None:
+            rock = self.overhangs(scene) & ~(labels.ground | labels.barred | scene.never)
             labels.ground[rock], labels.margin[rock] = True, 0
 
     def overhangs(self, scene: OstScene) -> np.ndarray:
@@ -82,17 +82,17 @@ class SteepRule(OstRule):
         above, sheet = np.zeros((2, scene.z.size), bool)
         above[cell[void]] = True
         sheet[known] = spreads(xyz[own[upper]].astype(np.float64), cell[upper]) < self.sheet * step
-        low, high, above, sheet = (np.pad(values.reshape(shape), 1) for values in (low, high, above, sheet))
-        rock, more = np.pad(scene.rock, 1) & ~above, above
+        bottoms, tops, hung, sheets = (np.pad(values.reshape(shape), 1) for values in (low, high, above, sheet))
+        rock, more = np.pad(scene.rock, 1) & ~hung, hung
         while more.any():
             beside = np.zeros_like(rock)
             for shift in itertools.product((-1, 0, 1), repeat=2):
-                there, bottom, top = (np.roll(values, shift, (0, 1)) for values in (rock, low, high))
-                beside |= there & (low <= top + step) & (bottom <= high + step)
-            more = beside & above & sheet & ~rock
+                there, bottom, top = (np.roll(values, shift, (0, 1)) for values in (rock, bottoms, tops))
+                beside |= there & (bottoms <= top + step) & (bottom <= tops + step)
+            more = beside & hung & sheets & ~rock
             rock |= more
         found = np.zeros(len(xyz), bool)
-        found[own] = upper & (rock & above)[1:-1, 1:-1].ravel()[cell]
+        found[own] = upper & (rock & hung)[1:-1, 1:-1].ravel()[cell]
         return found
 
 
