@@ -230,6 +230,7 @@ def scene_of(z, roofs=ROOFS, inside=None, largest=1e6, seen=None, slope=0.0, mar
     scene.slope = np.full(z.shape, slope, np.float32)
     scene.marked = np.zeros(z.shape, bool) if marked is None else marked
     scene.whole = scene.back = scene.rock = ~every
+    RULES["steep"].fill(scene)
     return scene
 
 

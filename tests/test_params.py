@@ -160,7 +160,7 @@ def test_parameters_from_spacing_and_largest_building():
         "csf": {"resolution": 1.4},
         "fptd": tin | {"window": 80.4, "stride": 13.4},
         "iptd": tin | {"window": 80.0, "cell": 1.5},
-        "ost": {"window": 40.0, "spacing": 2.2, "cell": 1.0},
+        "ost": {"window": 40.0, "spacing": 2.2, "cell": 1.0, "low_points": 21},
         "ppdf": {"window": 40.0, "reach": 40.0, "canopy_cell": 3.3, "cell": 15.4, "min_points": 10, "reference_cell": 2.2},
         "ptd": ptd,
         "ptdf": ptd,

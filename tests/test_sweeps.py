@@ -232,7 +232,7 @@ def test_a_sweep_of_ost_finds_out_once_what_no_swept_field_changes(hills, monkey
     axes = {"slope": [0.05, 0.1], "roof_step": [0.3, 0.5], "landscape": [20.0, 30.0], "tolerance": [0.05, 0.1]}
     jf.sweep(jf.OST(window=15.0), hills, axes, workers=1)
     assert len(low) == len(openings) == 1
-    jf.sweep(jf.OST(window=15.0), hills, {"rules": [(), ("voids",)], "slope": [0.05, 0.1]}, workers=1)
+    jf.sweep(jf.OST(window=15.0), hills, {"rules": [(), "voids"], "slope": [0.05, 0.1]}, workers=1)
     assert len(low) == len(openings) == 3
 
 

@@ -13,7 +13,7 @@ from ..core.filter import Filter
 from ..core.params import declared
 from ..methods import FILTERS
 from .session import BadUsage
-from .values import Names, Number
+from .values import Number
 
 
 def method_of(name: str) -> type[Filter]:
@@ -55,7 +55,7 @@ def _flag(name: str) -> str:
 def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamType:
     """The kind of values of a field, which are not yet held against its limits."""
     if field.metadata.get("names") is not None:
-        return Names()
+        return click.STRING  # names joined by + or a comma, or none
     hint, choices = typing.get_type_hints(method)[field.name], field.metadata.get("choices")
     base = next(one for one in (*typing.get_args(hint), hint) if one is not type(None))  # float of float | None
     if base is bool:

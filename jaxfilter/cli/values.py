@@ -47,15 +47,6 @@ class Number(click.ParamType):
             self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
 
 
-class Names(click.ParamType):
-    """Names joined by a comma or a plus; ``none`` for no names."""
-
-    name = "names"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return () if value.lower() == "none" else tuple(re.split(r"\s*[,+]\s*", value.strip()))
-
-
 def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option:
     """An option by its flags, separated by spaces, with the name of its argument last where it is another. ``kind``: bool for
     a switch, a text that stands for words in the help, or a type of click."""

@@ -60,7 +60,7 @@ def static(
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
     ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; those with ``names`` are tuples of
-    keys of these; a switch, whose default is True or False, may be either."""
+    keys of these, or such keys as a text; a switch, whose default is True or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
     more = {"cells": cells, "choices": choices, "names": names, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
@@ -183,7 +183,9 @@ def check_fields(params: Any) -> None:
 
 
 def _checked_names(given: str, value: Any, names: Mapping[str, Any]) -> tuple[str, ...]:
-    """Each name once, in the order of ``names``. Raises: ParameterError."""
+    """Each name once, in the order of ``names``; also of a text, such as "one+other" or "none". Raises: ParameterError."""
+    if isinstance(value, str):
+        value = () if value == "none" else re.split(r"\s*[+,]\s*", value)
     if not isinstance(value, (tuple, list)):
         raise ParameterError(f"{given}: a tuple of names is needed, such as {tuple(names)[:1]}")
     for one in value:

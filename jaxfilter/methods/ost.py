@@ -216,8 +216,10 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         crowd, rules = Crowd.from_points(points), self.active()
-        scene = self.scene(points if crowd is None else crowd.points, workers, progress)
-        progress(0.3, "segments")
+        progress(0.0, "surface and openings")
+        scene = copy.copy(self.sloped(points if crowd is None else crowd.points, workers))
+        scene.ost = self
+        progress(0.3, "objects")
         limit = self.judge(scene, rules)
         progress(0.4, "seeds")
         self.seed(scene, rules)
@@ -237,14 +239,6 @@ class OST(Filter):
         labels.info |= {"sensor": self.sensor, "seeds": len(seeds), "objects": int(scene.objects.sum())}
         progress(1.0, "done")
         return labels
-
-    def scene(self, points: Points, workers: int | None, progress: Progress) -> OstScene:
-        """Steps 1 to 3, which do not depend on what counts as steep."""
-        progress(0.0, "low points")
-        scene = copy.copy(self.surface(points, workers))
-        progress(0.2, "openings")
-        scene.ost, scene.steepest, scene.segments = self, self.drops(points, scene), self.segments(points, scene)
-        return scene
 
     def bar(self, points: Points) -> OstScene:
         """A scene with its low points (step 1)."""
@@ -279,8 +273,9 @@ class OST(Filter):
         )
 
     @stage
-    def drops(self, points: Points, scene: OstScene) -> np.ndarray:
-        """f32[rows, columns]: metres per cell of radius that openings lower each cell by, at most (step 3)."""
+    def opened(self, points: Points, workers: int | None) -> OstScene:
+        """How steeply openings lower each cell, at most (step 3)."""
+        scene = copy.copy(self.surface(points, workers))
         (rows, columns), wide = scene.z.shape, scene.cells.valid.shape
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
         level = np.floor(scene.z / np.float32(LEVEL)).astype(np.int32)
@@ -289,27 +284,37 @@ class OST(Filter):
             level = level.astype(np.int16)
         level = np.pad(level, [(0, wide[0] - rows), (0, wide[1] - columns)])
         drops = steepest_drops(level, scene.cells.valid, reach, most=roomy(reach))
-        return np.asarray(drops)[:rows, :columns] * np.float32(LEVEL)
+        scene.steepest = np.asarray(drops)[:rows, :columns] * np.float32(LEVEL)
+        return scene
 
     @stage
-    def segments(self, points: Points, scene: OstScene) -> Parts:
-        """Cells that differ little from one to the next (step 5)."""
+    def segmented(self, points: Points, workers: int | None) -> OstScene:
+        """Segments of cells that differ little from one to the next (step 5)."""
+        scene = copy.copy(self.opened(points, workers))
         step, area = float(self.roof_step), float(self.roof_area)
-        return Parts.from_elevations(scene.z, scene.inside, scene.seen, self.cell, step, area)
+        scene.segments = Parts.from_elevations(scene.z, scene.inside, scene.seen, self.cell, step, area)
+        return scene
+
+    @stage
+    def sloped(self, points: Points, workers: int | None) -> OstScene:
+        """The slope of the landscape, from the cells that drop by less than a fixed slope (step 4)."""
+        scene = copy.copy(self.segmented(points, workers))
+        objects = scene.steepest > np.float32(FIRST_SLOPE * self.cell)
+        scene.slope = landscape_slope(scene.z, scene.cells, objects, float(self.landscape))
+        return scene
 
     def judge(self, scene: OstScene, rules: list[OstRule]) -> np.ndarray:
         """The slope of the landscape, and which cells are objects (steps 4 and 5); f32[rows, columns]: from which drop on cells
         are marked, metres per cell."""
-        objects = scene.steepest > np.float32(FIRST_SLOPE * self.cell)
-        scene.back = scene.rock = np.zeros(objects.shape, bool)
-        for _ in range(SLOPE_PASSES):
-            scene.slope = landscape_slope(scene.z, scene.cells, objects, float(self.landscape))
+        scene.back = scene.rock = np.zeros(scene.z.shape, bool)
+        for number in range(SLOPE_PASSES):
+            if number > 0:
+                scene.slope = landscape_slope(scene.z, scene.cells, scene.objects, float(self.landscape))
             limit = np.float32(self.cell) * (np.float32(self.slope) + np.float32(self.relief) * scene.slope)
             scene.marked = scene.steepest > limit
             scene.whole = self.roofs(scene)
             for rule in rules:
                 rule.give_back(scene)
-            objects = scene.objects
         for rule in rules:
             rule.judge(scene)
         return np.maximum(limit, np.float32(1e-6))

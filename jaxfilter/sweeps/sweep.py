@@ -296,7 +296,8 @@ def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCl
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
     fields = {f.name: f for f in declared(base)}
     coords: dict[str, Any] = {
-        name: ((name if grid else "set",), values, about(fields[name])) for name, values in plan.axes.items()
+        name: ((name if grid else "set",), [_coordinate(value) for value in values], about(fields[name]))
+        for name, values in plan.axes.items()
     }
     if not grid:
         coords["set"] = np.arange(len(plan.sets))
@@ -310,6 +311,11 @@ def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCl
         "groups": len(plan.groups),
     }
     return xarray.Dataset(variables, coords, attrs)
+
+
+def _coordinate(value: Any) -> Any:
+    """A value as a coordinate: names as one text, which the field takes as well."""
+    return ("+".join(value) or "none") if isinstance(value, tuple) else value
 
 
 def about(field: dataclasses.Field[Any]) -> dict[str, str]:

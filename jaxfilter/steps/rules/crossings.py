@@ -135,7 +135,7 @@ class CrossingsRule(OstRule):
         """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
         body are judged as a whole."""
         z, seen, inside, objects, points, slope = surface
-        gap = max(2, math.ceil(self.gap * sizes.spacing / sizes.cell))
+        gap = max(2, math.ceil(min(self.gap * sizes.spacing / sizes.cell, max(z.shape))))
         z = np.where(inside, z, np.float32(np.inf))
         edge = inside & ~(seen | lowest(inside, 2 * gap + 1, outside=False))  # where slim triangles go on to anywhere
         around = np.pad(np.where(seen, z, np.float32(np.inf)), gap, constant_values=np.inf)

@@ -29,6 +29,7 @@ class OstScene:
         cells: the grid. lowest: i64, rows of the points that are lowest in their cell; tin: their
             triangulation.
         z: f32, the lowest elevation of each cell, metres, none missing; inside: bool, cells inside the hull of these points.
+        high: f32, the highest elevation of each cell; known to the rule for steep terrain alone.
         steepest: f32, metres per cell that openings lower a cell by. segments: of ``z``.
         slope: f32, rise over run of the landscape around each cell.
         marked: bool, cells that openings take for objects. whole: bool, cells of segments that are objects as a whole.
@@ -49,6 +50,7 @@ class OstScene:
     tin: Tin = dataclasses.field(init=False)
     z: np.ndarray = dataclasses.field(init=False)
     inside: np.ndarray = dataclasses.field(init=False)
+    high: np.ndarray = dataclasses.field(init=False)
     steepest: np.ndarray = dataclasses.field(init=False)
     segments: Parts = dataclasses.field(init=False)
     slope: np.ndarray = dataclasses.field(init=False)
@@ -89,7 +91,7 @@ class OstRule:
         """After low points: change ``low``, or ``plants`` and ``veil``."""
 
     def fill(self, scene: OstScene) -> None:
-        """After the surface: change ``z``."""
+        """After the surface: change ``z``, or measure more of it."""
 
     def give_back(self, scene: OstScene) -> None:
         """After openings and segments, twice, since the slope of the landscape needs to know what is ground: change ``back``."""

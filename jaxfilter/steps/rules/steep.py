@@ -32,14 +32,19 @@ class SteepRule(OstRule):
     sheet: float = 1.5
     """Standard deviation at most that points of rock lie from their plane in a cell, in ``roof_step``. Leaves scatter by more."""
 
+    def fill(self, scene: OstScene) -> None:
+        """The highest point of each cell: rock is bare where it is little higher than the lowest."""
+        scene.high = highest_in(scene.points.xyz, scene.cells)
+
     def give_back(self, scene: OstScene) -> None:
         from ...engines.grid.shapes import faces, segments  # imports Numba
 
         ost, z = scene.ost, np.where(scene.objects, scene.z, np.float32(np.nan))
         part, count = segments(z, np.float32(np.inf), ost.roof_area / ost.cell**2)
         limits = (np.float32(limit) for limit in (ost.roof_step, 2 * EVEN, 2 * ost.roof_step))
-        high = highest_in(scene.points.xyz, scene.cells)
-        cells, roofs, known, bare, border, walls = faces(part, count, scene.z, high, scene.seen, scene.whole, *limits)
+        cells, roofs, known, bare, border, walls = faces(
+            part, count, scene.z, scene.high, scene.seen, scene.whole, *limits
+        )
         rock = (
             (2 * known >= cells) & (2 * bare >= known) & (roofs <= self.roofs * cells) & (walls <= self.walls * border)
         )
