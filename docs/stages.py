@@ -124,16 +124,14 @@ def draped(filter_: jf.CSF, result: jf.FilterResult) -> list[Stage]:
 def segmented(filter_: jf.OST) -> list[Stage]:
     """Of OST: drops in terms of their limit, cells that are objects, ground of the cells."""
     points = filter_.points_of(scene().cloud)
-    found = filter_.scene(points, points.spacing(), None, lambda share, step: None)
-    cells, lowest = found.cells, found.lowest
-    objects, drop, _, _ = filter_.objects(found)
-    share, grid = inner(np.minimum(np.asarray(drop), 3.0), cells)
-    is_object = inner(objects, cells)[0]
-    kept = points.xyz[lowest]
-    kept = kept[~is_object.ravel()[grid.flat(kept)]]
+    found = filter_.scene(points, None, lambda share, step: None)
+    limit = filter_.judge(found, filter_.active())
+    share, grid = inner(np.minimum(found.steepest / limit, 3.0), found.cells)
+    kept = points.xyz[found.lowest]
+    kept = kept[~found.objects.ravel()[grid.flat(kept)]]
     return [
         ("steepest drop, in terms of the limit", coloured((share, grid), "at most 3; cells above 1 are marked")),
-        ("cells that are objects, segments joined", coloured((is_object, grid), "", cmap="cividis")),
+        ("cells that are objects, segments joined", coloured((found.objects, grid), "", cmap="cividis")),
         (f"relief of the seeds ({len(kept):,})", shaded(kept)),
     ]
 
