@@ -43,12 +43,12 @@ FIRST_SLOPE = 0.15
 LEVEL = 1 / 128
 """Metres: steps of elevation in openings. A power of two, so that tiles of a survey have the same."""
 LOW_SHARE, LEAST_LOW = 0.02, 2
-"""Few are at most this share of the points that a disk of this radius holds, or so many if those are fewer."""
+"""Few low points are at most this share of the points in a disk of the radius ``window``, and so many at least."""
 TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 SHEET_TOLERANCE = 6.0
-"""The tolerance in terms of the thickness of the sheet, but of lidar from the air: the lowest of 100 points lies 2.5 below its
-middle, the highest above."""
+"""The tolerance in terms of the thickness of the sheet, of all clouds but airborne lidar: the lowest of 100 points lies 2.5 below
+its middle, the highest above."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
 
@@ -139,7 +139,7 @@ class OST(Filter):
         "ground is at most this far above or below the triangulation of the seeds", ">= 0 m", default=0.09
     )
     tolerance_spacing: float = param(
-        "the tolerance grows by this per metre of point spacing, up to 1 m", ">= 0 m/m", default=0.2
+        "the tolerance grows by this per metre of point spacing, of which 1 m at most counts", ">= 0 m/m", default=0.2
     )
     scaling: float = param(
         "the tolerance grows by this times the spacing and the slope of the facet", ">= 0 m/m", default=1.0

@@ -36,7 +36,7 @@ _SHEET = 0.3
 
 class SensorFacts(NamedTuple):
     """``kind``: one of :data:`KINDS`; ``thickness``: metres, standard deviation of ground from planes a few spacings wide;
-    ``sparse``: metres, the spacing in the tenth of the area with fewest points."""
+    ``sparse``: metres, the spacing in the quarter of the area with fewest points."""
 
     kind: str
     thickness: float

@@ -28,7 +28,7 @@ class LowestSurface(NamedTuple):
 
     Attributes:
         z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points; inside: those that the data
-            surround; objects: those that are none of the ground.
+            surround; objects: cells that are no ground.
         points: i64[rows, columns], how many are in each cell. slope: f32[rows, columns], rise over run of the landscape.
     """
 

@@ -81,7 +81,7 @@ class OstRule:
     """A rule of OST: a frozen value that holds its constants. It changes the scene after a step, where it defines one of these
     methods. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
 
-    What ``bar`` and ``surface`` write is shared by the sets of a sweep: they replace an array, and do not write into it.
+    What ``bar`` and ``fill`` write is shared by the sets of a sweep: they replace an array, and do not write into it.
     """
 
     SENSORS: ClassVar[tuple[str, ...]] = KINDS
