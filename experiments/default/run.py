@@ -1,4 +1,4 @@
-"""OST: the search of its constants, the same search with sites and sources left out, ablations, and other methods."""
+"""OST: the search of its constants, the same search with sites and sources left out, and other methods."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import itertools
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -18,35 +18,23 @@ from experiments.default import search
 from experiments.defaults import clouds
 from experiments.isprs import samples
 from experiments.remake import word
-from experiments.report import markdown, write_page
+from experiments.report import Row, markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
-ABLATIONS: dict[str, dict[str, float]] = {
-    "all steps": {},
-    "1 without barred low points": {"low_points": 0},
-    "2 voids filled like gaps": {"void": 1e6},
-    "4 one slope for all landscapes": {"relief": 0.0, "slope": 0.15},
-    "5 without whole segments": {"roof_area": 1e9},
-    "5 segments by marked cells only": {"roof_drop_share": 1.0},
-    "7 without densification": {"rounds": 0},
-    "7 angles count at any distance": {"noise": 0.0},
-    "8 nothing dropped": {"scene_spread": 1e9},
-}
-"""What is left out, by the number of the step in the class; constants are otherwise the defaults."""
 METHODS = ("smrf", "spf", "iptd")
 """Methods that the tiles and samples are compared with: the best ones on either."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Search, fold, ablate, compare, and write the tables."""
+    """Search, fold, compare, and write the tables."""
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
     parser.add_argument("--out", type=Path, default=HERE / "results")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
-    parser.add_argument("--skip", nargs="*", default=[], choices=["ablations", "methods", "scenes"])
+    parser.add_argument("--skip", nargs="*", default=[], choices=["methods", "scenes"])
     parser.add_argument("--scene-methods", nargs="*", default=[name for name in jf.FILTERS if name != "ost"])
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
@@ -54,15 +42,11 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     tried = scored(search.tried(folder, options.sets, options.out))
     text = [
-        "# OST: where its constants come from, and what they give", "",
+        "# OST: where its constants come from, and how it compares", "",
         *folds(tried, search.sets(options.sets)),
     ]  # fmt: skip
-    if "methods" not in options.skip or "ablations" not in options.skip:
-        known = list(search.every_cloud(folder))
-        if "methods" not in options.skip:
-            text += against(known, options.out)
-        if "ablations" not in options.skip:
-            text += ablations(known, options.out)
+    if "methods" not in options.skip:
+        text += against(list(search.every_cloud(folder)), options.out)
     if "scenes" not in options.skip:
         text += scenes(options.scene_methods, options.out)
     command = shlex.join(["python", "experiments/default/run.py", *given])
@@ -83,7 +67,7 @@ def kind(cloud: str) -> str:
     return "samples" if cloud.startswith("samp") else "scenes" if cloud.startswith("scene ") else "tiles"
 
 
-def scored(rows: Iterable[dict[str, str]]) -> pd.DataFrame:
+def scored(rows: list[Row]) -> pd.DataFrame:
     """Total error and kappa in percent from counts of points, ground points, and errors of both kinds."""
     table = pd.DataFrame(rows).astype(dict.fromkeys(("points", "ground", "lost", "wrong"), int))
     n, ground = table["points"], table["ground"]
@@ -176,36 +160,15 @@ def per_cloud(columns: dict[str, pd.DataFrame]) -> str:
     return shown(table[[kind(cloud) != "scenes" for cloud in table.index]].rename_axis("cloud").reset_index())
 
 
-def measured(
-    known: list[clouds.Known], filters: dict[str, Callable[[jf.PointCloud], jf.Filter]], path: Path
-) -> pd.DataFrame:
-    """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
-    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
-    words = {name: word(name.split(",")[0] if "," in name else "ost") for name in filters}
-    rows = [row for row in rows if row["set"] in words and row.get("labels") == words[row["set"]]]
-    done = {(row["set"], row["cloud"]) for row in rows}
-    for name, make in filters.items():
-        for one in known:
-            if (name, one.name) in done:
-                continue
-            truth = one.ground[one.scored]
-            found = make(one.cloud)(one.cloud).ground[one.scored]
-            rows.append({
-                "set": name, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": words[name],
-            })  # fmt: skip
-        print(name, file=sys.stderr, flush=True)
-    rows.sort(key=lambda row: list(filters).index(row["set"]))
-    pd.DataFrame(rows).to_csv(path, index=False)
-    return scored(rows)
-
-
 def against(known: list[clouds.Known], out: Path) -> list[str]:
     """The methods that do best on samples or tiles, as users get them, beside OST."""
-    makers = {f"{name}, `for_cloud`": jf.FILTERS[name].for_cloud for name in (*METHODS, "ost")}
+    makers: dict[str, Callable[[jf.PointCloud], jf.Filter]] = {
+        f"{name}, `for_cloud`": jf.FILTERS[name].for_cloud for name in (*METHODS, "ost")
+    }
     makers["smrf, default"] = lambda cloud: jf.SMRF()
-    table = measured(known, makers, out / "methods.csv")
-    parts = dict(list(table.groupby("set", sort=False)))
+    words = {name: word(name.partition(",")[0]) for name in makers}
+    table = scored(search.counted(known, makers, words, out / "methods.csv"))
+    parts = {name: table[table["set"] == name] for name in makers}
     ours = parts["ost, `for_cloud`"].set_index("cloud")
     tiles = ours[ours["kind"] == "tiles"]
     better = {
@@ -224,17 +187,6 @@ def against(known: list[clouds.Known], out: Path) -> list[str]:
         f"{', '.join(worse[worse > 1].index) or 'none'}.", "",
         per_cloud(parts), "",
     ]  # fmt: skip
-
-
-def ablations(known: list[clouds.Known], out: Path) -> list[str]:
-    """What each step gives."""
-
-    def changed(changes: dict[str, float]) -> Callable[[jf.PointCloud], jf.Filter]:
-        return lambda cloud: jf.FILTERS["ost"].for_cloud(cloud, **changes)
-
-    table = measured(known, {name: changed(changes) for name, changes in ABLATIONS.items()}, out / "ablations.csv")
-    return ["## What each step gives", "", "One step left out at a time, mean total error / kappa in percent.", "",
-            means(dict(list(table.groupby("set", sort=False)))), ""]  # fmt: skip
 
 
 def scenes(methods: list[str], out: Path) -> list[str]:
