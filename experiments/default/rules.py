@@ -8,7 +8,6 @@ labels stay.
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 import time
@@ -64,14 +63,7 @@ MEANS = {"total": ".2f", "kappa": ".1f", "rmse": ".3f", "off": ".2f"}
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with isprs, tiles and tiles_hard [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds of clouds, or clouds")
-    parser.add_argument("--processes", type=int, default=2, help="of one thread each [%(default)s]")
-    given = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args(given)
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = search.options(__doc__, arguments, HERE / "results")
     path, own, more = options.out / "ablations.csv", word("ost"), word(SCENES)
     chosen = {
         cloud.name: cloud
@@ -91,7 +83,7 @@ def main(arguments: list[str] | None = None) -> None:
     order = [*chosen]
     rows.sort(key=lambda row: (order.index(row["cloud"]), VARIANTS.index(row["variant"])))
     write_csv(path, rows)
-    command = shlex.join(["python", "experiments/default/rules.py", *given])
+    command = shlex.join(["python", "experiments/default/rules.py", *options.given])
     write_page(options.out / "rules.md", page(pd.DataFrame(rows)), command, ("ost", SCENES), keeps=True)
     print(f"results are in {options.out}")
 
