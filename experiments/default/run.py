@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import shlex
 import sys
 from collections.abc import Callable
@@ -34,8 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
     parser.add_argument("--out", type=Path, default=HERE / "results")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
-    parser.add_argument("--skip", nargs="*", default=[], choices=["methods", "scenes"])
-    parser.add_argument("--scene-methods", nargs="*", default=[name for name in jf.FILTERS if name != "ost"])
+    parser.add_argument("--alone", action="store_true", help="without other methods")
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     keep_compilations()
@@ -45,13 +43,10 @@ def main(arguments: list[str] | None = None) -> None:
         "# OST: where its constants come from, and how it compares", "",
         *folds(tried, search.sets(options.sets)),
     ]  # fmt: skip
-    if "methods" not in options.skip:
+    if not options.alone:
         text += against(list(search.every_cloud(folder)), options.out)
-    if "scenes" not in options.skip:
-        text += scenes(options.scene_methods, options.out)
     command = shlex.join(["python", "experiments/default/run.py", *given])
-    others = [] if "methods" in options.skip else METHODS
-    others = others if "scenes" in options.skip else options.scene_methods
+    others = () if options.alone else METHODS
     write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
@@ -176,51 +171,12 @@ def against(known: list[clouds.Known], out: Path) -> list[str]:
         for name, part in parts.items()
         if "ost" not in name
     }
-    plain = parts["smrf, default"].set_index("cloud")["total"]
-    worse = (ours["total"] - plain)[ours["kind"] == "samples"]
     return [
         "## Other methods", "",
         "Mean total error / kappa in percent. OST with its present defaults, which were chosen on these clouds.", "",
         means(parts), "",
-        f"OST has the better kappa on {', '.join(f'{n} tiles against {name}' for name, n in better.items())}. "
-        "Of the samples it is worse than SMRF's default by more than 1.0 on: "
-        f"{', '.join(worse[worse > 1].index) or 'none'}.", "",
+        f"OST has the better kappa on {', '.join(f'{n} tiles against {name}' for name, n in better.items())}.", "",
         per_cloud(parts), "",
-    ]  # fmt: skip
-
-
-def scenes(methods: list[str], out: Path) -> list[str]:
-    """Every layout at four densities: total errors, and the terrain model's root mean square error."""
-    path = out / "scenes.csv"
-    rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
-    rows = [row for row in rows if row.get("labels") == word(row["method"])]
-    done = {(row["density"], row["layout"], row["method"]) for row in rows}
-    for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), clouds.LAYOUTS):
-        missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
-        if missing:
-            scene = jf.scenes.make(layout, size=clouds.SIZES[density], density=density, seed=clouds.SEED)
-            for name in missing:
-                result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
-                error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
-                rows.append({"layout": layout, "density": density, "method": name, "total": error, "labels": word(name),
-                             "rmse": jf.dtm_rmse(scene.cloud, result, scene.truth, near=None).rmse})  # fmt: skip
-            print(density, layout, file=sys.stderr, flush=True)
-    table = pd.DataFrame(rows)
-    table.to_csv(path, index=False)
-    order = ["ost", *methods]
-    total, rmse = (
-        table.pivot_table(index=by, columns="method", values=value, sort=False)[order].sort_index(key=key)
-        for by, value, key in (
-            ("layout", "total", lambda names: names.map(clouds.LAYOUTS.index)),
-            ("density", "rmse", None),
-        )
-    )
-    total.loc["mean"], rmse.loc["mean"] = total.mean(), rmse.mean()
-    return [
-        "## Scenes", "", "Total error in percent, mean of 0.3, 1, 4 and 15 pulses per m2; every method by `for_cloud`.", "",
-        shown(total.reset_index(), ".2f"), "",
-        "Root mean square error of the terrain model against the model of the true ground, metres:", "",
-        shown(rmse.reset_index(), ".3f"), "",
     ]  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxfilter as jf
+from experiments.defaults import clouds as defaults
 from experiments.defaults.clouds import Known, tile
 from experiments.report import Row
 from experiments.scenes import water
@@ -82,6 +83,7 @@ def every(folder: Path) -> Iterator[Cloud]:
         measured = ERRORS * hard + CUTS * (hard and middle) + PLACES * (middle and layout != "jungle")
         make = partial(scene, layout, density)
         yield Cloud("scenes", f"{layout} {density:g}", make, measured, {"density": density}, True)
+    yield from _each("layouts", general, ERRORS, scene=defaults.LAYOUTS, density=(0.3, 1.0, 4.0, 15.0))
     for path in sorted((folder / "other_sensors").glob("*.laz")):
         yield Cloud("sensors", path.stem, partial(real, path), ERRORS)
     sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
@@ -123,6 +125,12 @@ def scene(layout: str, density: float) -> Site:
     """One of :data:`LAYOUTS`, in strips of 250 m, so that rock faces are seen from both sides. Last echoes are scored."""
     made = jf.scenes.make(LAYOUTS[layout], size=SIZES[density], density=density, seed=SEED, swath=250.0)
     return Site(f"{layout} {density:g}", "scenes", made.cloud, made.truth, made.cloud.candidate)
+
+
+def general(scene: str, density: float) -> Site:
+    """One of the scenes that defaults are chosen on."""
+    made = jf.scenes.make(scene, size=defaults.SIZES[density], density=density, seed=defaults.SEED)
+    return Site(scene, "layouts", made.cloud, made.truth, made.cloud.candidate)
 
 
 def imitated(scene: str, seed: int) -> Site:
