@@ -32,10 +32,11 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
+from experiments.default.rules import kept
 from experiments.defaults.table import origins
 from experiments.isprs import samples, search
 from experiments.remake import SCENES, word
-from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
+from experiments.report import Column, Row, markdown, save_png, write_page
 from experiments.scenes import clouds
 from experiments.scenes.measures import MEASURES
 from jaxfilter.core.compilation import keep_compilations
@@ -61,16 +62,11 @@ CLOUDS = (
     "sensors: scene image matching, hills, seed 101", "sensors: scene drone lidar, forest, seed 101",
 )  # fmt: skip
 """Of ``experiments/scenes/clouds.py``, by name."""
-GROUPS = {
-    "samples": "#3264c8", "tiles": "#d2871e", "hard tiles": "#b4283c", "scenes": "#28825a", "halls": "#c85ab4",
-    "dikes": "#8ca028", "sparse forests": "#787878", "sensors": "#a05a28", "water": "#1ea0b4", "decks by area": "#7846a0",
-    "water by area": "#00505a",
-}  # fmt: skip
-"""Over what means are taken, each with its colour: kinds of clouds, and decks and water by area."""
 NUMBERS = {
-    "methods.ost": "SLOPE_PASSES FIRST_SLOPE LEVEL LOW_SHARE LEAST_LOW TESTED SHEET_TOLERANCE",
-    "steps.outliers": "LOW_DEPTH SCATTER", "steps.objects": "FURTHER EVEN MOST", "steps.seeds": "VEILED ABOVE",
-    "steps.rules.plants": "BESIDE STEEP PLANT_CELL", "steps.ground_rules": "STEEPEST", "steps.crowd": "_SIDE _SHEET",
+    "jaxfilter.methods.ost": "SLOPE_PASSES FIRST_SLOPE LEVEL LOW_SHARE LEAST_LOW TESTED SHEET_TOLERANCE",
+    "jaxfilter.steps.outliers": "LOW_DEPTH SCATTER", "jaxfilter.steps.objects": "FURTHER EVEN MOST",
+    "jaxfilter.steps.seeds": "VEILED ABOVE", "jaxfilter.steps.rules.plants": "BESIDE STEEP PLANT_CELL",
+    "jaxfilter.steps.ground_rules": "STEEPEST", "jaxfilter.steps.crowd": "_SIDE _SHEET",
 }  # fmt: skip
 """Numbers of the steps, by module."""
 SENSED_ONLY = "SHEET_TOLERANCE", "_SIDE", "_SHEET"
@@ -80,17 +76,14 @@ BELOW = {"MOST": 1.0, "VEILED": 1.0, "steady": 1.0, "thin": 1.0, "higher": 1.0, 
 
 
 @cache
-def said(module: str, owner: str = "") -> dict[str, str]:
-    """What is written below assignments of a module below ``jaxfilter``, or of a class in it, by name."""
-    body = ast.parse(inspect.getsource(import_module(f"jaxfilter.{module}"))).body
-    if owner:
-        body = next(node for node in body if isinstance(node, ast.ClassDef) and node.name == owner).body
+def said(module: str) -> dict[str, str]:
+    """What is written below assignments in a module, and in its classes, by name."""
     found = {}
-    for node, text in itertools.pairwise(body):
-        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(text, ast.Expr):
-            for name in ast.walk(node.targets[0] if isinstance(node, ast.Assign) else node.target):
-                if isinstance(name, ast.Name):
-                    found[name.id] = " ".join(ast.literal_eval(text.value).split())
+    for owner in ast.walk(ast.parse(inspect.getsource(import_module(module)))):
+        for node, text in itertools.pairwise(owner.body if isinstance(owner, ast.Module | ast.ClassDef) else []):
+            if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(text, ast.Expr):
+                names = (name.id for name in ast.walk(node) if isinstance(name, ast.Name))
+                found |= dict.fromkeys(names, " ".join(ast.literal_eval(text.value).split()))
     return found
 
 
@@ -138,7 +131,7 @@ class Constant(NamedTuple):
                     }
                 stack.enter_context(mock.patch.dict(RULES, {self.owner: dataclasses.replace(rule, **new)}))
             else:
-                before = getattr(import_module(f"jaxfilter.{self.owner}"), self.name)
+                before = getattr(import_module(self.owner), self.name)
                 loaded = [module for name, module in sys.modules.items() if name.startswith("jaxfilter.")]
                 for module in loaded:  # also those that have imported it
                     if getattr(module, self.name, None) is before:
@@ -148,7 +141,7 @@ class Constant(NamedTuple):
                 if self.name == "STEEPEST":  # it is compiled in
                     jax.clear_caches()
                     stack.callback(jax.clear_caches)
-                if self.owner == "methods.ost":
+                if self.owner == "jaxfilter.methods.ost":
                     method = jf.OST.for_cloud(cloud)
             return method(cloud, workers=1)
 
@@ -162,14 +155,14 @@ def constants() -> list[Constant]:
             about = f"{unit and unit + ': '}{field.metadata['doc']}; {origin}"
             found.append(Constant("OST", field.name, field.default or 0.0, about))
     for name, rule in RULES.items():
-        texts = said(type(rule).__module__.removeprefix("jaxfilter."), type(rule).__name__)
+        texts = said(type(rule).__module__)
         for key, value in vars(rule).items():
             some = enumerate(value) if isinstance(value, tuple) else [(None, value)]
             found += [Constant(name, key, one, texts[key], pick) for pick, one in some]
     for module, names in NUMBERS.items():
         for name in names.split():
-            value = getattr(import_module(f"jaxfilter.{module}"), name)
-            found.append(Constant(module, name, value if isinstance(value, int) else float(value), said(module)[name]))
+            value, about = getattr(import_module(module), name), said(module)[name]
+            found.append(Constant(module, name, value if isinstance(value, int) else float(value), about))
     return found
 
 
@@ -190,21 +183,18 @@ def work(cloud: clouds.Cloud) -> list[Row]:
         idle = constant.owner in RULES and method.sensor not in RULES[constant.owner].SENSORS
         if idle or (constant.name in SENSED_ONLY and cloud.kind != "sensors"):
             continue
-        head = {"constant": constant.title, "cloud": cloud.name, "group": cloud.kind}
+        head = {"constant": constant.title}
         rows.append(head | {"factor": 1.0} | found[labels_of(first)])
         alike = True
         for factor in FACTORS:  # where neither half nor double changes a label, nothing between is run
             value = constant.scaled(method, factor)
-            if value is None:
-                continue
-            result = first
-            if not (alike and factor in FACTORS[2:]):
-                result = constant.result(method, site.cloud, value)
-            labels = labels_of(result)
-            alike = alike and labels == labels_of(first)
-            if labels not in found:
-                found[labels] = measured(site, result)
-            rows.append(head | {"factor": factor} | found[labels])
+            if value is not None:
+                between = alike and factor in FACTORS[2:]
+                result = first if between else constant.result(method, site.cloud, value)
+                if (labels := labels_of(result)) not in found:
+                    found[labels] = measured(site, result)
+                rows.append(head | {"factor": factor} | found[labels])
+            alike = alike and value is not None and labels == labels_of(first)
     print(f"{cloud.name}: {time.process_time() - start:.0f} s of a processor", file=sys.stderr, flush=True)
     return rows
 
@@ -228,7 +218,7 @@ def measured(site: clouds.Site, result: jf.FilterResult) -> Row:
 
 
 def moved(table: pd.DataFrame) -> pd.DataFrame:
-    """By constant, factor and one of :data:`GROUPS` how much means change, points: total error, areas of decks and water
+    """By constant, factor and kind of cloud how much means change, points: total error, areas of decks and water
     ("what" is ""), and cells whose terrain is off ("terrain")."""
     keys = ["total", "off", "decks by area", "water by area"]
     table = table.reindex(columns=[*table, *(key for key in keys if key not in table)])
@@ -237,8 +227,8 @@ def moved(table: pd.DataFrame) -> pd.DataFrame:
     by = ["constant", "factor"]
     parts = []
     for key in keys:
-        part = table.assign(group=key) if key in ("decks by area", "water by area") else table
-        means = part.groupby([*by, "group"])[key].mean().dropna().rename("change").reset_index()
+        part = table.assign(kind=key) if key in ("decks by area", "water by area") else table
+        means = part.groupby([*by, "kind"])[key].mean().dropna().rename("change").reset_index()
         parts.append(means.assign(what="terrain" if key == "off" else ""))
     return pd.concat(parts)
 
@@ -248,16 +238,16 @@ def draw(changes: pd.DataFrame, path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    every, across = constants(), 8
+    every, across, groups = constants(), 8, list(dict.fromkeys(changes["kind"]))
     down = math.ceil(len(every) / across)
     figure = Figure(figsize=(1.75 * across, 1.5 * down))
     axes = figure.subplots(down, across, sharex=True, sharey=True).ravel()
     for axis, constant in zip(axes, every, strict=False):
         axis.axhspan(-FLAT, FLAT, color="#e6e6e6", linewidth=0)
         own = changes[changes["constant"] == constant.title]
-        for (group, what), line in own.groupby(["group", "what"]):
+        for (group, what), line in own.groupby(["kind", "what"]):
             style = {"linestyle": ":", "linewidth": 1.0} if what else {"marker": "o", "markersize": 2, "linewidth": 1.2}
-            axis.plot(np.log2(line["factor"]), line["change"], color=GROUPS[group], **style)
+            axis.plot(np.log2(line["factor"]), line["change"], color=f"C{groups.index(group)}", **style)
         axis.set_title(constant.title, fontsize=7, pad=2)
         axis.set_yscale("symlog", linthresh=FLAT, linscale=0.6)
         axis.set_ylim(-15, 60)
@@ -268,7 +258,7 @@ def draw(changes: pd.DataFrame, path: Path) -> None:
         axis.spines[["top", "right"]].set_visible(False)
     for axis in axes[len(every) :]:
         axis.set_axis_off()
-    handles = [Line2D([], [], color=colour, label=group) for group, colour in GROUPS.items()]
+    handles = [Line2D([], [], color=f"C{n}", label=group) for n, group in enumerate(groups)]
     handles += [Line2D([], [], color="black", linestyle=":", label="cells off by > 0.5 m")]
     figure.legend(handles=handles, loc="upper center", ncol=9, fontsize=7.5, frameon=False)
     figure.supxlabel("times the default", fontsize=8)
@@ -293,7 +283,7 @@ def page(changes: pd.DataFrame, names: list[str]) -> str:
             row["flat"] = "at places only"
         if len(own) and largest.max() > 0:
             most = own.iloc[own["change"].abs().argmax()]
-            what = [most["group"], *[most["what"]] * bool(most["what"]), f"at {most['factor']:g}"]
+            what = [most["kind"], *[most["what"]] * bool(most["what"]), f"at {most['factor']:g}"]
             row |= {"most": most["change"], "where": ", ".join(what)}
         table.append(row)
     columns: list[Column] = [
@@ -324,15 +314,9 @@ def main(arguments: list[str] | None = None) -> None:
     options = search.options(__doc__, arguments, HERE / "results")
     path, defaults = options.out / "flat.csv", repr([(constant.title, constant.default) for constant in constants()])
     now = f"{word('ost')}-{word(SCENES)}-{hashlib.blake2b(defaults.encode(), digest_size=3).hexdigest()}"
-    known = {
-        one.name: one for one in clouds.every(samples.data_folder(options.data)) if one.name in (options.only or CLOUDS)
-    }
-    rows = read_csv(path) if path.exists() else []
-    rows = [row for row in rows if row["labels"] == now and row["cloud"] in known]
-    missing = [(one,) for name, one in known.items() if name not in {row["cloud"] for row in rows}]
-    for _, found in search.results(work, missing, options.processes):
-        rows += [row | {"labels": now} for row in found]
-        write_csv(path, rows)
+    wanted = options.only or CLOUDS
+    known = {one.name: (one, now) for one in clouds.every(samples.data_folder(options.data)) if one.name in wanted}
+    rows = kept(path, work, known, options.processes)
     changes = moved(pd.DataFrame(rows))
     draw(changes, options.out / "flat.png")
     command = shlex.join(["python", "experiments/default/flat.py", *options.given])

@@ -12,7 +12,7 @@ import shlex
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,28 +64,32 @@ MEANS = {"total": ".2f", "kappa": ".1f", "rmse": ".3f", "off": ".2f"}
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
     options = search.options(__doc__, arguments, HERE / "results")
-    path, own, more = options.out / "ablations.csv", word("ost"), word(SCENES)
+    own, more = word("ost"), word(SCENES)
     chosen = {
-        cloud.name: cloud
+        cloud.name: (cloud, f"{own}-{more}" if cloud.simulated else own)
         for cloud in every(samples.data_folder(options.data))
         if not options.only or {cloud.kind, cloud.name} & {*options.only}
     }
-    words = {name: f"{own}-{more}" if cloud.simulated else own for name, cloud in chosen.items()}
-    rows = read_csv(path) if path.exists() else []
-    rows = [row for row in rows if words.get(row["cloud"]) == row["labels"] and row.get("variant") in VARIANTS]
-    done = {(row["cloud"], row["variant"]) for row in rows}
-    tasks = [(cloud,) for name, cloud in chosen.items() if not done >= {(name, variant) for variant in VARIANTS}]
-    rows = [row for row in rows if row["cloud"] not in {cloud.name for (cloud,) in tasks}]
-    for number, ((cloud,), found) in enumerate(search.results(work, tasks, options.processes), 1):
-        rows += [{"kind": cloud.kind, "cloud": cloud.name} | row | {"labels": words[cloud.name]} for row in found]
-        write_csv(path, rows)
-        print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
-    order = [*chosen]
-    rows.sort(key=lambda row: (order.index(row["cloud"]), VARIANTS.index(row["variant"])))
-    write_csv(path, rows)
+    rows = kept(options.out / "ablations.csv", work, chosen, options.processes)
     command = shlex.join(["python", "experiments/default/rules.py", *options.given])
     write_page(options.out / "rules.md", page(pd.DataFrame(rows)), command, ("ost", SCENES), keeps=True)
     print(f"results are in {options.out}")
+
+
+def kept(
+    path: Path, work: Callable[[clouds.Cloud], list[Row]], chosen: dict[str, tuple[clouds.Cloud, str]], processes: int
+) -> list[Row]:
+    """The rows of clouds by name. Those in the file that have the labels that are named beside their cloud are not made again."""
+    rows = [row for row in (read_csv(path) if path.exists() else []) if row["cloud"] in chosen]
+    rows = [row for row in rows if row["labels"] == chosen[row["cloud"]][1]]
+    done, order = {row["cloud"] for row in rows}, [*chosen]
+    tasks = [(cloud,) for name, (cloud, _) in chosen.items() if name not in done]
+    for number, ((cloud,), found) in enumerate(search.results(work, tasks, processes), 1):
+        rows += [{"kind": cloud.kind, "cloud": cloud.name} | row | {"labels": chosen[cloud.name][1]} for row in found]
+        rows.sort(key=lambda row: order.index(row["cloud"]))
+        write_csv(path, rows)
+        print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
+    return rows
 
 
 def every(folder: Path) -> Iterator[clouds.Cloud]:

@@ -1,4 +1,4 @@
-"""OST: the search of its constants, the same search with sites and sources left out, and other methods."""
+"""OST: the search of its constants, the same search with sites and sources left out."""
 
 from __future__ import annotations
 
@@ -12,48 +12,36 @@ import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import jaxfilter as jf
 from experiments.default import search
-from experiments.defaults import clouds
 from experiments.isprs import samples
-from experiments.remake import word
 from experiments.report import Row, markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
-METHODS = ("smrf", "spf", "iptd")
-"""Methods that the tiles and samples are compared with: the best ones on either."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Search, fold, compare, and write the tables."""
+    """Search, fold, and write the tables."""
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
     parser.add_argument("--out", type=Path, default=HERE / "results")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
-    parser.add_argument("--alone", action="store_true", help="without other methods")
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     keep_compilations()
     options.out.mkdir(parents=True, exist_ok=True)
     tried = scored(search.tried(folder, options.sets, options.out))
-    text = [
-        "# OST: where its constants come from, and how it compares", "",
-        *folds(tried, search.sets(options.sets)),
-    ]  # fmt: skip
-    if not options.alone:
-        text += against(list(search.every_cloud(folder)), options.out)
+    text = ["# OST: where its constants come from", "", *folds(tried, search.sets(options.sets))]
     command = shlex.join(["python", "experiments/default/run.py", *given])
-    others = () if options.alone else METHODS
-    write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"), keeps=True)
+    write_page(options.out / "results.md", "\n".join(text), command, ("ost", "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
 
-def shown(table: pd.DataFrame, number: str = "") -> str:
-    """A table as Markdown, its numbers in one format."""
-    columns = [(str(name), str(name), number if table[name].dtype == float else "") for name in table]
+def shown(table: pd.DataFrame) -> str:
+    """A table as Markdown."""
+    columns = [(str(name), str(name), "") for name in table]
     return markdown(columns, table.rename(columns=str).to_dict("records"))
 
 
@@ -64,7 +52,7 @@ def kind(cloud: str) -> str:
 
 def scored(rows: list[Row]) -> pd.DataFrame:
     """Total error and kappa in percent from counts of points, ground points, and errors of both kinds."""
-    table = pd.DataFrame(rows).astype(dict.fromkeys(("points", "ground", "lost", "wrong"), int))
+    table = pd.DataFrame(rows)
     n, ground = table["points"], table["ground"]
     called = ground - table["lost"] + table["wrong"]
     by_chance = (ground * called + (n - ground) * (n - called)) / n**2
@@ -74,19 +62,19 @@ def scored(rows: list[Row]) -> pd.DataFrame:
     )
 
 
-def best(tried: pd.DataFrame) -> str:
+def best(tried: pd.DataFrame) -> int:
     """The set with the smallest total error, kinds of clouds counting alike."""
     means = tried.groupby(["set", "kind"])["total"].mean().groupby("set").mean()
-    return str(means.sort_index(key=lambda s: s.astype(int)).idxmin())
+    return int(means.idxmin())
 
 
-def clearly_best(tried: pd.DataFrame) -> str:
+def clearly_best(tried: pd.DataFrame) -> int:
     """The same, or the first set unless the other is better by more than one standard error of the paired differences."""
     number = best(tried)
     wide = tried.pivot_table(index=["kind", "cloud"], columns="set", values="total")
-    gain = (wide["0"] - wide[number]).groupby("kind")
+    gain = (wide[0] - wide[number]).groupby("kind")
     error = (gain.var() / gain.count()).sum() ** 0.5 / len(gain)
-    return number if gain.mean().mean() > error else "0"
+    return number if gain.mean().mean() > error else 0
 
 
 def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
@@ -94,13 +82,13 @@ def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
     tried = tried[tried["set"].isin([s for s, part in tried.groupby("set") if len(part) == tried["cloud"].nunique()])]
     chosen, smallest = clearly_best(tried), best(tried)
 
-    def held(rule: Callable[[pd.DataFrame], str]) -> pd.DataFrame:
+    def held(rule: Callable[[pd.DataFrame], int]) -> pd.DataFrame:
         """Every cloud by the set that is chosen without its site or source."""
         parts = tried[tried["kind"] != "scenes"].groupby("group")
         return pd.concat([part[part["set"] == rule(tried[tried["group"] != group])] for group, part in parts])
 
     rows = {
-        "the first set, by hand": tried[tried["set"] == "0"],
+        "the first set, by hand": tried[tried["set"] == 0],
         f"set {smallest}, the smallest mean on all of them (optimistic)": tried[tried["set"] == smallest],
         "the smallest mean without the site or source": held(best),
         "the first, unless another is clearly better, without the site or source": held(clearly_best),
@@ -118,7 +106,7 @@ def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
         "Constants, between what they are searched, and two of the sets:", "",
         shown(pd.DataFrame(
             [{"constant": name, "from": low, "to": high, "first": sets[0][name],
-              "smallest mean": round(sets[int(smallest)][name], 4)} for name, (low, high) in search.RANGES.items()]
+              "smallest mean": round(sets[smallest][name], 4)} for name, (low, high) in search.RANGES.items()]
         )), "",
         "Not searched: " + "; ".join(f"`{name}` ({why})" for name, why in search.REASONED.items()) + ".", "",
         "## Every sample and tile", "",
@@ -153,31 +141,6 @@ def per_cloud(columns: dict[str, pd.DataFrame]) -> str:
         }
     )
     return shown(table[[kind(cloud) != "scenes" for cloud in table.index]].rename_axis("cloud").reset_index())
-
-
-def against(known: list[clouds.Known], out: Path) -> list[str]:
-    """The methods that do best on samples or tiles, as users get them, beside OST."""
-    makers: dict[str, Callable[[jf.PointCloud], jf.Filter]] = {
-        f"{name}, `for_cloud`": jf.FILTERS[name].for_cloud for name in (*METHODS, "ost")
-    }
-    makers["smrf, default"] = lambda cloud: jf.SMRF()
-    words = {name: word(name.partition(",")[0]) for name in makers}
-    table = scored(search.counted(known, makers, words, out / "methods.csv"))
-    parts = {name: table[table["set"] == name] for name in makers}
-    ours = parts["ost, `for_cloud`"].set_index("cloud")
-    tiles = ours[ours["kind"] == "tiles"]
-    better = {
-        name: int((tiles["kappa"] > part.set_index("cloud")["kappa"].reindex(tiles.index)).sum())
-        for name, part in parts.items()
-        if "ost" not in name
-    }
-    return [
-        "## Other methods", "",
-        "Mean total error / kappa in percent. OST with its present defaults, which were chosen on these clouds.", "",
-        means(parts), "",
-        f"OST has the better kappa on {', '.join(f'{n} tiles against {name}' for name, n in better.items())}.", "",
-        per_cloud(parts), "",
-    ]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -63,31 +62,21 @@ def sets(count: int) -> list[dict[str, float]]:
 
 
 def tried(folder: Path, count: int, out: Path) -> list[Row]:
-    """A row for every set and cloud, see :func:`counted`."""
-    makers = {str(number): partial(jf.OST.for_cloud, **values) for number, values in enumerate(sets(count))}
-    return counted(list(every_cloud(folder)), makers, dict.fromkeys(makers, word("ost")), out / "search.csv")
-
-
-def counted(
-    known: list[clouds.Known],
-    makers: dict[str, Callable[[jf.PointCloud], jf.Filter]],
-    words: dict[str, str],
-    path: Path,
-) -> list[Row]:
-    """A row for every filter and cloud, with errors of both kinds as counts. Rows that are in the file are not made again, if the
-    labels of the method are those of ``words``."""
-    rows = read_csv(path) if path.exists() else []
-    rows = [row | {"set": str(row["set"])} for row in rows if words.get(str(row["set"])) == row["labels"]]
-    done = {(row["set"], row["cloud"]) for row in rows}
-    for name, make in makers.items():
+    """A row for every set and cloud, with errors of both kinds as counts; those that are in the file, by the labels of now,
+    are not run again."""
+    path, now = out / "search.csv", word("ost")
+    rows = [row for row in (read_csv(path) if path.exists() else []) if row["labels"] == now]
+    done, known = {(row["set"], row["cloud"]) for row in rows}, list(every_cloud(folder))
+    for number, values in enumerate(sets(count)):
         for one in known:
-            if (name, one.name) in done:
+            if (number, one.name) in done:
                 continue
-            truth, found = one.ground[one.scored], make(one.cloud)(one.cloud).ground[one.scored]
+            found = jf.OST.for_cloud(one.cloud, **values)(one.cloud).ground[one.scored]
+            truth = one.ground[one.scored]
             rows.append({
-                "set": name, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": words[name],
+                "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
+                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": now,
             })  # fmt: skip
         write_csv(path, rows)
-        print(name, file=sys.stderr, flush=True)
+        print(f"set {number} of {count}", file=sys.stderr, flush=True)
     return rows
