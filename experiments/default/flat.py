@@ -126,9 +126,8 @@ class Constant(NamedTuple):
             elif self.owner in RULES:
                 rule, new = RULES[self.owner], {self.name: value}
                 if self.pick is not None:
-                    new = {
-                        self.name: tuple(value if i == self.pick else v for i, v in enumerate(getattr(rule, self.name)))
-                    }
+                    every = enumerate(getattr(rule, self.name))
+                    new = {self.name: tuple(value if i == self.pick else v for i, v in every)}
                 stack.enter_context(mock.patch.dict(RULES, {self.owner: dataclasses.replace(rule, **new)}))
             else:
                 before = getattr(import_module(self.owner), self.name)
@@ -210,25 +209,21 @@ def measured(site: clouds.Site, result: jf.FilterResult) -> Row:
     found = {key: row.get(key, math.nan) for key in ("total", "off")}
     if site.area is not None:
         areas = MEASURES["water"](site, "ost", result)[0]
-        found |= {
-            name: 100 * (1 - areas[f"{key}_f1"])
-            for name, key in (("decks by area", "deck"), ("water by area", "water"))
-        }
+        found |= {f"{name} by area": 100 * (1 - areas[f"{name}_f1"]) for name in ("deck", "water")}
     return {key: round(value, 4) for key, value in found.items()}
 
 
 def moved(table: pd.DataFrame) -> pd.DataFrame:
     """By constant, factor and kind of cloud how much means change, points: total error, areas of decks and water
     ("what" is ""), and cells whose terrain is off ("terrain")."""
-    keys = ["total", "off", "decks by area", "water by area"]
+    keys = ["total", "off", "deck by area", "water by area"]
     table = table.reindex(columns=[*table, *(key for key in keys if key not in table)])
     first = table[table["factor"] == 1].drop_duplicates("cloud").set_index("cloud")[keys]
     table[keys] -= first.loc[table["cloud"]].to_numpy()
-    by = ["constant", "factor"]
     parts = []
     for key in keys:
-        part = table.assign(kind=key) if key in ("decks by area", "water by area") else table
-        means = part.groupby([*by, "kind"])[key].mean().dropna().rename("change").reset_index()
+        part = table.assign(kind=key) if key in ("deck by area", "water by area") else table
+        means = part.groupby(["constant", "factor", "kind"])[key].mean().dropna().rename("change").reset_index()
         parts.append(means.assign(what="terrain" if key == "off" else ""))
     return pd.concat(parts)
 
@@ -279,7 +274,7 @@ def page(changes: pd.DataFrame, names: list[str]) -> str:
             "constant": f"`{constant.title}`", "value": f"{constant.default:.4g}" if constant.default else "–",
             "about": constant.about.rstrip("."), "flat": f"{low:g} to {high:g}", "most": 0.0, "where": "–",
         }  # fmt: skip
-        if any(low < factor < high for factor in largest.index[largest > FLAT]):
+        if any(largest[(largest.index > low) & (largest.index < high)] > FLAT):
             row["flat"] = "at places only"
         if len(own) and largest.max() > 0:
             most = own.iloc[own["change"].abs().argmax()]

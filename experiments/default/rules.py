@@ -23,10 +23,9 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.default.run import shown
 from experiments.isprs import places, samples, search
 from experiments.remake import SCENES, word
-from experiments.report import Row, read_csv, write_csv, write_page
+from experiments.report import Row, markdown, read_csv, write_csv, write_page
 from experiments.scenes import clouds
 from experiments.scenes.measures import MEASURES
 from jaxfilter.core.compilation import keep_compilations
@@ -89,7 +88,7 @@ def kept(
         rows.sort(key=lambda row: order.index(row["cloud"]))
         write_csv(path, rows)
         print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
-    return rows
+    return [{key: value for key, value in row.items() if value != ""} for row in rows]
 
 
 def every(folder: Path) -> Iterator[clouds.Cloud]:
@@ -155,7 +154,7 @@ def measured(site: clouds.Site, result: jf.FilterResult) -> Row:
 
 def page(table: pd.DataFrame) -> str:
     """All tables as Markdown."""
-    table = table.reindex(columns=[*table, *({"deck_f1", "water_f1"} - {*table})])
+    table = table.reindex(columns=list(dict.fromkeys([*table, "deck_f1", "water_f1"])))
     broken = table["rmse"].isna().groupby(table["cloud"]).transform("any")
     table.loc[broken, ["rmse", "off"]] = np.nan
     table["set"] = table["kind"].where(table["kind"].isin(SETS), "scenes, of all kinds")
@@ -175,28 +174,20 @@ def page(table: pd.DataFrame) -> str:
         text += [f"## {name.capitalize()}", _shown(means.assign(cpu=spent / spent[ALL]), MEANS | {"cpu": ".2f"})]
     scenes = table[~table["kind"].isin(SETS)]
     for key, title, form in (("total", "Total error, %", ".2f"), ("rmse", "Terrain RMSE, m", ".3f")):
-        if len(scenes):
-            wide = scenes.groupby(["variant", "kind"], sort=False)[key].mean().unstack(sort=False)
-            text += [f"## {title}, by kind of scene", _shown(wide, dict.fromkeys(wide, form))]
-    water = table[table["kind"] == "water"].groupby("variant", sort=False)
-    if len(water):
-        areas = {"deck_f1": ".3f", "water_f1": ".3f"}
-        text += ["## Areas of decks and water", "F1 of areas, as on the page of [scenes](../../scenes/results/results.md).",
-                 _shown(water[[*areas]].mean(), areas)]  # fmt: skip
+        wide = scenes.groupby(["variant", "kind"], sort=False)[key].mean().unstack(sort=False)
+        text += [f"## {title}, by kind of scene", _shown(wide.reindex(VARIANTS), dict.fromkeys(wide, form))]
+    areas = dict.fromkeys(("deck_f1", "water_f1"), ".3f")
+    text += ["## Areas of decks and water", "F1 of areas, as on the page of [scenes](../../scenes/results/results.md).",
+             _shown(table.groupby("variant")[[*areas]].mean(), areas)]  # fmt: skip
     names = {kind: part["cloud"].nunique() for kind, part in table.groupby("kind", sort=False)}
     text.append("Clouds: " + ", ".join(f"{kind} {number}" for kind, number in names.items()) + ".")
     return "\n\n".join(text)
 
 
 def _shown(table: pd.DataFrame, forms: dict[str, str]) -> str:
-    """A row for each variant; columns in their formats, without those that are empty."""
-    table = table.loc[[name for name in VARIANTS if name in table.index]]
-    texts = {
-        key: [f"{v:{form}}" for v in table[key].fillna(np.nan)]
-        for key, form in forms.items()
-        if table[key].notna().any()
-    }
-    return shown(pd.DataFrame({"": table.index, **{key.replace("_", " "): column for key, column in texts.items()}}))
+    """A row for each variant; columns in their formats."""
+    columns = [("variant", "", ""), *((key, key.replace("_", " "), form) for key, form in forms.items())]
+    return markdown(columns, table.loc[VARIANTS].reset_index().to_dict("records"))
 
 
 if __name__ == "__main__":
