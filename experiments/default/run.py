@@ -1,80 +1,47 @@
-"""OST: the search of its constants, the same search with sites and sources left out, ablations, and other methods."""
+"""OST: the search of its constants, the same search with sites and sources left out."""
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import jaxfilter as jf
 from experiments.default import search
-from experiments.defaults import clouds
 from experiments.isprs import samples
-from experiments.remake import word
-from experiments.report import markdown, write_page
+from experiments.report import Row, markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
-ABLATIONS: dict[str, dict[str, float]] = {
-    "all steps": {},
-    "1 without barred low points": {"low_points": 0},
-    "2 voids filled like gaps": {"void": 1e6},
-    "4 one slope for all landscapes": {"relief": 0.0, "slope": 0.15},
-    "5 without whole segments": {"roof_area": 1e9},
-    "5 segments by marked cells only": {"roof_drop_share": 1.0},
-    "7 without densification": {"rounds": 0},
-    "7 angles count at any distance": {"noise": 0.0},
-    "8 nothing dropped": {"scene_spread": 1e9},
-}
-"""What is left out, by the number of the step in the class; constants are otherwise the defaults."""
-METHODS = ("smrf", "spf", "iptd")
-"""Methods that the tiles and samples are compared with: the best ones on either."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Search, fold, ablate, compare, and write the tables."""
+    """Search, fold, and write the tables."""
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
     parser.add_argument("--out", type=Path, default=HERE / "results")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
-    parser.add_argument("--skip", nargs="*", default=[], choices=["ablations", "methods", "scenes"])
-    parser.add_argument("--scene-methods", nargs="*", default=[name for name in jf.FILTERS if name != "ost"])
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     keep_compilations()
     options.out.mkdir(parents=True, exist_ok=True)
     tried = scored(search.tried(folder, options.sets, options.out))
-    text = [
-        "# OST: where its constants come from, and what they give", "",
-        *folds(tried, search.sets(options.sets)),
-    ]  # fmt: skip
-    if "methods" not in options.skip or "ablations" not in options.skip:
-        known = list(search.every_cloud(folder))
-        if "methods" not in options.skip:
-            text += against(known, options.out)
-        if "ablations" not in options.skip:
-            text += ablations(known, options.out)
-    if "scenes" not in options.skip:
-        text += scenes(options.scene_methods, options.out)
+    text = ["# OST: where its constants come from", "", *folds(tried, search.sets(options.sets))]
     command = shlex.join(["python", "experiments/default/run.py", *given])
-    others = [] if "methods" in options.skip else METHODS
-    others = others if "scenes" in options.skip else options.scene_methods
-    write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"), keeps=True)
+    write_page(options.out / "results.md", "\n".join(text), command, ("ost", "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
 
-def shown(table: pd.DataFrame, number: str = "") -> str:
-    """A table as Markdown, its numbers in one format."""
-    columns = [(str(name), str(name), number if table[name].dtype == float else "") for name in table]
+def shown(table: pd.DataFrame) -> str:
+    """A table as Markdown."""
+    columns = [(str(name), str(name), "") for name in table]
     return markdown(columns, table.rename(columns=str).to_dict("records"))
 
 
@@ -83,9 +50,9 @@ def kind(cloud: str) -> str:
     return "samples" if cloud.startswith("samp") else "scenes" if cloud.startswith("scene ") else "tiles"
 
 
-def scored(rows: Iterable[dict[str, str]]) -> pd.DataFrame:
+def scored(rows: list[Row]) -> pd.DataFrame:
     """Total error and kappa in percent from counts of points, ground points, and errors of both kinds."""
-    table = pd.DataFrame(rows).astype(dict.fromkeys(("points", "ground", "lost", "wrong"), int))
+    table = pd.DataFrame(rows)
     n, ground = table["points"], table["ground"]
     called = ground - table["lost"] + table["wrong"]
     by_chance = (ground * called + (n - ground) * (n - called)) / n**2
@@ -95,19 +62,19 @@ def scored(rows: Iterable[dict[str, str]]) -> pd.DataFrame:
     )
 
 
-def best(tried: pd.DataFrame) -> str:
+def best(tried: pd.DataFrame) -> int:
     """The set with the smallest total error, kinds of clouds counting alike."""
     means = tried.groupby(["set", "kind"])["total"].mean().groupby("set").mean()
-    return str(means.sort_index(key=lambda s: s.astype(int)).idxmin())
+    return int(means.idxmin())
 
 
-def clearly_best(tried: pd.DataFrame) -> str:
+def clearly_best(tried: pd.DataFrame) -> int:
     """The same, or the first set unless the other is better by more than one standard error of the paired differences."""
     number = best(tried)
     wide = tried.pivot_table(index=["kind", "cloud"], columns="set", values="total")
-    gain = (wide["0"] - wide[number]).groupby("kind")
+    gain = (wide[0] - wide[number]).groupby("kind")
     error = (gain.var() / gain.count()).sum() ** 0.5 / len(gain)
-    return number if gain.mean().mean() > error else "0"
+    return number if gain.mean().mean() > error else 0
 
 
 def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
@@ -115,13 +82,13 @@ def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
     tried = tried[tried["set"].isin([s for s, part in tried.groupby("set") if len(part) == tried["cloud"].nunique()])]
     chosen, smallest = clearly_best(tried), best(tried)
 
-    def held(rule: Callable[[pd.DataFrame], str]) -> pd.DataFrame:
+    def held(rule: Callable[[pd.DataFrame], int]) -> pd.DataFrame:
         """Every cloud by the set that is chosen without its site or source."""
         parts = tried[tried["kind"] != "scenes"].groupby("group")
         return pd.concat([part[part["set"] == rule(tried[tried["group"] != group])] for group, part in parts])
 
     rows = {
-        "the first set, by hand": tried[tried["set"] == "0"],
+        "the first set, by hand": tried[tried["set"] == 0],
         f"set {smallest}, the smallest mean on all of them (optimistic)": tried[tried["set"] == smallest],
         "the smallest mean without the site or source": held(best),
         "the first, unless another is clearly better, without the site or source": held(clearly_best),
@@ -139,7 +106,7 @@ def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
         "Constants, between what they are searched, and two of the sets:", "",
         shown(pd.DataFrame(
             [{"constant": name, "from": low, "to": high, "first": sets[0][name],
-              "smallest mean": round(sets[int(smallest)][name], 4)} for name, (low, high) in search.RANGES.items()]
+              "smallest mean": round(sets[smallest][name], 4)} for name, (low, high) in search.RANGES.items()]
         )), "",
         "Not searched: " + "; ".join(f"`{name}` ({why})" for name, why in search.REASONED.items()) + ".", "",
         "## Every sample and tile", "",
@@ -174,102 +141,6 @@ def per_cloud(columns: dict[str, pd.DataFrame]) -> str:
         }
     )
     return shown(table[[kind(cloud) != "scenes" for cloud in table.index]].rename_axis("cloud").reset_index())
-
-
-def measured(
-    known: list[clouds.Known], filters: dict[str, Callable[[jf.PointCloud], jf.Filter]], path: Path
-) -> pd.DataFrame:
-    """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
-    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
-    words = {name: word(name.split(",")[0] if "," in name else "ost") for name in filters}
-    rows = [row for row in rows if row["set"] in words and row.get("labels") == words[row["set"]]]
-    done = {(row["set"], row["cloud"]) for row in rows}
-    for name, make in filters.items():
-        for one in known:
-            if (name, one.name) in done:
-                continue
-            truth = one.ground[one.scored]
-            found = make(one.cloud)(one.cloud).ground[one.scored]
-            rows.append({
-                "set": name, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": words[name],
-            })  # fmt: skip
-        print(name, file=sys.stderr, flush=True)
-    rows.sort(key=lambda row: list(filters).index(row["set"]))
-    pd.DataFrame(rows).to_csv(path, index=False)
-    return scored(rows)
-
-
-def against(known: list[clouds.Known], out: Path) -> list[str]:
-    """The methods that do best on samples or tiles, as users get them, beside OST."""
-    makers = {f"{name}, `for_cloud`": jf.FILTERS[name].for_cloud for name in (*METHODS, "ost")}
-    makers["smrf, default"] = lambda cloud: jf.SMRF()
-    table = measured(known, makers, out / "methods.csv")
-    parts = dict(list(table.groupby("set", sort=False)))
-    ours = parts["ost, `for_cloud`"].set_index("cloud")
-    tiles = ours[ours["kind"] == "tiles"]
-    better = {
-        name: int((tiles["kappa"] > part.set_index("cloud")["kappa"].reindex(tiles.index)).sum())
-        for name, part in parts.items()
-        if "ost" not in name
-    }
-    plain = parts["smrf, default"].set_index("cloud")["total"]
-    worse = (ours["total"] - plain)[ours["kind"] == "samples"]
-    return [
-        "## Other methods", "",
-        "Mean total error / kappa in percent. OST with its present defaults, which were chosen on these clouds.", "",
-        means(parts), "",
-        f"OST has the better kappa on {', '.join(f'{n} tiles against {name}' for name, n in better.items())}. "
-        "Of the samples it is worse than SMRF's default by more than 1.0 on: "
-        f"{', '.join(worse[worse > 1].index) or 'none'}.", "",
-        per_cloud(parts), "",
-    ]  # fmt: skip
-
-
-def ablations(known: list[clouds.Known], out: Path) -> list[str]:
-    """What each step gives."""
-
-    def changed(changes: dict[str, float]) -> Callable[[jf.PointCloud], jf.Filter]:
-        return lambda cloud: jf.FILTERS["ost"].for_cloud(cloud, **changes)
-
-    table = measured(known, {name: changed(changes) for name, changes in ABLATIONS.items()}, out / "ablations.csv")
-    return ["## What each step gives", "", "One step left out at a time, mean total error / kappa in percent.", "",
-            means(dict(list(table.groupby("set", sort=False)))), ""]  # fmt: skip
-
-
-def scenes(methods: list[str], out: Path) -> list[str]:
-    """Every layout at four densities: total errors, and the terrain model's root mean square error."""
-    path = out / "scenes.csv"
-    rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
-    rows = [row for row in rows if row.get("labels") == word(row["method"])]
-    done = {(row["density"], row["layout"], row["method"]) for row in rows}
-    for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), clouds.LAYOUTS):
-        missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
-        if missing:
-            scene = jf.scenes.make(layout, size=clouds.SIZES[density], density=density, seed=clouds.SEED)
-            for name in missing:
-                result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
-                error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
-                rows.append({"layout": layout, "density": density, "method": name, "total": error, "labels": word(name),
-                             "rmse": jf.dtm_rmse(scene.cloud, result, scene.truth, near=None).rmse})  # fmt: skip
-            print(density, layout, file=sys.stderr, flush=True)
-    table = pd.DataFrame(rows)
-    table.to_csv(path, index=False)
-    order = ["ost", *methods]
-    total, rmse = (
-        table.pivot_table(index=by, columns="method", values=value, sort=False)[order].sort_index(key=key)
-        for by, value, key in (
-            ("layout", "total", lambda names: names.map(clouds.LAYOUTS.index)),
-            ("density", "rmse", None),
-        )
-    )
-    total.loc["mean"], rmse.loc["mean"] = total.mean(), rmse.mean()
-    return [
-        "## Scenes", "", "Total error in percent, mean of 0.3, 1, 4 and 15 pulses per m2; every method by `for_cloud`.", "",
-        shown(total.reset_index(), ".2f"), "",
-        "Root mean square error of the terrain model against the model of the true ground, metres:", "",
-        shown(rmse.reset_index(), ".3f"), "",
-    ]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ import jaxfilter as jf
 from experiments.defaults import clouds
 from experiments.isprs import samples
 from experiments.remake import word
+from experiments.report import Row, read_csv, write_csv
 
 RANGES: dict[str, tuple[float, float]] = {
     "slope": (0.06, 0.11), "relief": (0.3, 0.6), "landscape": (20.0, 45.0),
@@ -25,8 +25,10 @@ RANGES: dict[str, tuple[float, float]] = {
 """Constants that are searched, and between what. The first set is the one the method began with, by hand."""
 REASONED = {
     "cell": "a metre, which furrows and vehicles do not fill; a quarter of the spacing where that is more",
-    "window": "buildings are up to 50 m wide", "roof_area": "a small house",
-    "low_points": "tried: 15, 30, 45, 60 on the ISPRS samples at eight places of the grid", "void": "eight cells",
+    "window": "buildings are up to 50 m wide", "roof_area": "a small house", "spacing": "as measured",
+    "sensor": "by the points", "rules": "those for the sensor",
+    "low_points": "tried: 15, 30, 45, 60 on the ISPRS samples at eight places of the grid; where a disk of the window holds "
+    "fewer than 1500 points, a fiftieth of these",
     "rounds": "tried: 0 to 6 on the ISPRS samples, 3 to 10 on all clouds",
 }  # fmt: skip
 """Constants that are not searched, and why they are as they are."""
@@ -59,33 +61,22 @@ def sets(count: int) -> list[dict[str, float]]:
     return [first, *(dict(zip(RANGES, map(float, low + (high - low) * row), strict=True)) for row in unit)]
 
 
-def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
+def tried(folder: Path, count: int, out: Path) -> list[Row]:
     """A row for every set and cloud, with errors of both kinds as counts; those that are in the file, by the labels of now,
     are not run again."""
-    path = out / "search.csv"
-    rows: list[dict[str, str]] = []
-    if path.exists():
-        with path.open() as file:
-            rows = [row for row in csv.DictReader(file) if row.get("labels") == word("ost")]
-    done = {(row["set"], row["cloud"]) for row in rows}
-    wanted = list(enumerate(sets(count)))
-    known = list(every_cloud(folder))
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["set", "cloud", "group", "points", "ground", "lost", "wrong", "labels"])
-        writer.writeheader()
-        writer.writerows(rows)
-        for number, values in wanted:
-            for one in known:
-                if (str(number), one.name) in done:
-                    continue
-                found = jf.FILTERS["ost"].for_cloud(one.cloud, **values)(one.cloud).ground[one.scored]
-                truth = one.ground[one.scored]
-                row = {
-                    "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": word("ost"),
-                }  # fmt: skip
-                writer.writerow(row)
-                rows.append({key: str(value) for key, value in row.items()})
-            file.flush()
-            print(f"set {number} of {count}", file=sys.stderr, flush=True)
+    path, now = out / "search.csv", word("ost")
+    rows = [row for row in (read_csv(path) if path.exists() else []) if row["labels"] == now]
+    done, known = {(row["set"], row["cloud"]) for row in rows}, list(every_cloud(folder))
+    for number, values in enumerate(sets(count)):
+        for one in known:
+            if (number, one.name) in done:
+                continue
+            found = jf.OST.for_cloud(one.cloud, **values)(one.cloud).ground[one.scored]
+            truth = one.ground[one.scored]
+            rows.append({
+                "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
+                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": now,
+            })  # fmt: skip
+        write_csv(path, rows)
+        print(f"set {number} of {count}", file=sys.stderr, flush=True)
     return rows

@@ -55,14 +55,19 @@ def errors(path: Path, method: str, places: int) -> list[Row]:
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     filter_ = spaces.fixed(method, path.stem)
-    rng = np.random.default_rng(int(path.stem.removeprefix("samp")))
     anchors = {"zero": (0.0, 0.0), "corner": tuple(jf.read(path).coordinates().min(axis=0)[:2])}
-    anchors |= {str(place): tuple(v) for place, v in enumerate(rng.uniform(0, 1000, (places, 2)).round(2))}
+    anchors |= drawn(path, places)
     clouds = {place: jf.read(path, anchor=anchor) for place, anchor in anchors.items()}
     return [
         {"method": method, "place": place, "total": jf.evaluate(filter_(cloud), cloud).total}
         for place, cloud in clouds.items()
     ]
+
+
+def drawn(path: Path, places: int) -> dict[str, tuple[float, float]]:
+    """Random points of a sample from which grids count, by number; the same for all methods."""
+    rng = np.random.default_rng(int(path.stem.removeprefix("samp")))
+    return {str(place): (x, y) for place, (x, y) in enumerate(rng.uniform(0, 1000, (places, 2)).round(2).tolist())}
 
 
 def _report(rows: list[Row], places: int) -> str:

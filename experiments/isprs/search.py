@@ -6,10 +6,12 @@ as long as the filter's parameters and the labels of its method (``experiments/r
 
 from __future__ import annotations
 
+import argparse
 import csv
 import hashlib
 import multiprocessing
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -29,6 +31,19 @@ _ONE_THREAD = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false", "OMP_NUM_THREA
 T = TypeVar("T", bound=tuple[Any, ...])
 Task = tuple[str, str, Path, dict[int, dict[str, float]]]
 """Method, sample, its file, and the thresholds of the sets to run by number."""
+
+
+def options(text: str | None, arguments: Sequence[str] | None, out: Path) -> argparse.Namespace:
+    """What a script about clouds is given, with the arguments themselves as ``given``. The folder ``out`` is made."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, help="folder with isprs, tiles and so on [JAXFILTER_DATA]")
+    parser.add_argument("--out", type=Path, default=out, help="folder for the results [%(default)s]")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds of clouds, or clouds")
+    parser.add_argument("--processes", type=int, default=2, help="of one thread each [%(default)s]")
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    found = parser.parse_args(given, argparse.Namespace(given=given))
+    found.out.mkdir(parents=True, exist_ok=True)
+    return found
 
 
 def digest(filter_: jf.Filter, thresholds: dict[str, float] | None = None) -> str:

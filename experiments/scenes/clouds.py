@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxfilter as jf
+from experiments.defaults import clouds as defaults
 from experiments.defaults.clouds import Known, tile
 from experiments.report import Row
 from experiments.scenes import water
@@ -21,6 +22,7 @@ FILLED = jf.Interpolation(fill=True)
 """Every cell has a height, so that none is left out where ground was lost."""
 ERRORS, CUTS = [("errors", name) for name in jf.FILTERS], [("cuts", name) for name in ("ost", "smrf")]
 PLACES, WATER = [("places", "ost")], [("water", "ost")]
+SOME = [("errors", name) for name in ("ost", "iptd", "smrf", "msf", "csf", "ptd")]
 """What is measured, and with which method."""
 
 JUNGLE = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.6, forest=0.95, penetration=0.01)
@@ -81,6 +83,7 @@ def every(folder: Path) -> Iterator[Cloud]:
         measured = ERRORS * hard + CUTS * (hard and middle) + PLACES * (middle and layout != "jungle")
         make = partial(scene, layout, density)
         yield Cloud("scenes", f"{layout} {density:g}", make, measured, {"density": density}, True)
+    yield from _each("layouts", general, ERRORS, scene=defaults.LAYOUTS, density=(0.3, 1.0, 4.0, 15.0))
     for path in sorted((folder / "other_sensors").glob("*.laz")):
         yield Cloud("sensors", path.stem, partial(real, path), ERRORS)
     sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
@@ -90,7 +93,9 @@ def every(folder: Path) -> Iterator[Cloud]:
     yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=places, seed=(100, 101))
     shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
     yield from _each("dikes", dike, ERRORS, density=(0.5, 2.0, 8.0), **shapes)
-    yield from _each("sparse forests", sparse, ERRORS, density=(0.05, 0.1, 0.2, 0.5), share=(5, 10, 20), seed=(101, 102))
+    shares = {"density": (0.05, 0.1, 0.2, 0.5), "share": (5, 10, 20)}
+    yield from _each("sparse forests", sparse, ERRORS, **shares, seed=(101, 102))
+    yield from _each("sparse forests anew", sparse, SOME, **shares, seed=(201, 202))
     yield from _each("water", crossed, WATER, scene=water.SCENES, density=SIZES)
     for path in sorted((folder / "isprs").glob("samp*.txt")):
         yield Cloud("samples", path.stem, partial(real, path), PLACES)
@@ -103,7 +108,7 @@ def _each(
     for values in itertools.product(*axes.values()):
         facts = dict(zip(axes, values, strict=True))
         name = f"{kind}: {', '.join(f'{key} {value}' for key, value in facts.items())}"
-        yield Cloud(kind, name, partial(make, **facts), measured, facts, "scene" in facts)
+        yield Cloud(kind, name, partial(make, **facts), measured, facts, make not in (hall, dike))
 
 
 def load(folder: Path, name: str) -> Site:
@@ -122,6 +127,12 @@ def scene(layout: str, density: float) -> Site:
     return Site(f"{layout} {density:g}", "scenes", made.cloud, made.truth, made.cloud.candidate)
 
 
+def general(scene: str, density: float) -> Site:
+    """One of the scenes that defaults are chosen on."""
+    made = jf.scenes.make(scene, size=defaults.SIZES[density], density=density, seed=defaults.SEED)
+    return Site(scene, "layouts", made.cloud, made.truth, made.cloud.candidate)
+
+
 def imitated(scene: str, seed: int) -> Site:
     """A scene as one of :data:`SENSORS` sees it."""
     sensor, layout = scene.split(", ")
@@ -130,9 +141,9 @@ def imitated(scene: str, seed: int) -> Site:
     return Site(scene, "sensors", made.cloud, made.truth, made.cloud.candidate)
 
 
-def real(path: Path) -> Site:
-    """A sample, or a cloud of another sensor. Class 0 is not scored where others are."""
-    cloud = jf.read(path, units="m", ignore_classes=(7, 18))
+def real(path: Path, anchor: tuple[float, float] = (0.0, 0.0)) -> Site:
+    """A sample, or a cloud of another sensor. Class 0 is not scored where others are. ``anchor``: from where grids count."""
+    cloud = jf.read(path, units="m", ignore_classes=(7, 18), anchor=anchor)
     truth, beside, classes = cloud.reference, None, cloud.classification
     scored = cloud.candidate if classes is None else cloud.candidate & (classes != 0)
     if truth is None or not truth.any():

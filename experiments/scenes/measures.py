@@ -123,7 +123,8 @@ def areas(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
             row |= {f"{name}_points": int(own.sum()), f"{name}_marked": int(marked.sum())}
             row[f"{name}_both"] = int((marked & own).sum())
         return [row]
-    deck = water.nearest(place.cloud, result.deck, place.x, place.y, 1.5 * place.spacing)
+    marked = np.zeros(len(place.cloud), bool) if result.deck is None else result.deck
+    deck = water.nearest(place.cloud, marked, place.x, place.y, 1.5 * place.spacing)
     wet = np.zeros(len(place.x), bool)
     if (cells := result.water_cells) is not None:
         at = np.column_stack([place.y, place.x]) - place.cloud.anchor[::-1]

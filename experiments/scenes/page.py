@@ -17,6 +17,12 @@ SINGLE = {
     "called": "Points called ground where nothing is known, %",
 }  # fmt: skip
 """What is shown of single clouds of some kinds."""
+TABLES: dict[str, tuple[str, list[str], list[str]]] = {
+    **dict.fromkeys(("hard tiles", "scenes", "sensors", "drawn anew"), ("cloud", ["method"], [*SINGLE])),
+    "layouts": ("cloud", ["method"], ["total", "rmse"]),
+    **dict.fromkeys(("sparse forests", "sparse forests anew"), ("method", ["density", "share"], ["total", "rmse"])),
+}
+"""By kind of cloud what has a row, what has a column, and which of :data:`SINGLE` is shown."""
 PARTS = {"halls": ("hall", ["place"], ["roof"], ["density"]), "dikes": ("crest", ["width", "slope"], ["density"])}
 """The part of a cloud of which the share that becomes ground is shown, and by what."""
 PLACES: list[Column] = [
@@ -55,10 +61,11 @@ def errors(table: pd.DataFrame) -> list[str]:
             text += [f"### {title}", _best(part)]
         else:
             text.append(_means(part, {"total": ".2f"}))
-        for key, title in SINGLE.items() if kind in ("hard tiles", "scenes", "sensors", "drawn anew") else ():
+        index, columns, keys = TABLES.get(str(kind), ("", [], []))
+        for key in keys:
             if part[key].notna().any():
                 form = ".3f" if key == "rmse" else ".2f"
-                text += [f"### {title}, {kind}", _wide(part, "cloud", ["method"], key, form)]
+                text += [f"### {SINGLE[key]}, {kind}", _wide(part, index, columns, key, form)]
     return text
 
 

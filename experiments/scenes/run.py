@@ -7,7 +7,6 @@ Rows are kept in files of ``--out``: only those that are missing, or of other la
 
 from __future__ import annotations
 
-import argparse
 import resource
 import shlex
 import sys
@@ -36,14 +35,7 @@ PROFILES = {"odmsem3d_brighton_small": 0.25, "rf4pcc_test": 0.27, "sea_cliff": 0
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with isprs, tiles and so on [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds of clouds, or clouds")
-    parser.add_argument("--processes", type=int, default=2, help="of one thread each [%(default)s]")
-    given = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args(given)
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = search.options(__doc__, arguments, HERE / "results")
     declared = {one.name: one for one in clouds.every(samples.data_folder(options.data))}
     order = {name: number for number, name in enumerate(declared)}
     words = {name: word(name) for name in (*jf.FILTERS, SCENES)}
@@ -69,7 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
             known.sort(key=lambda row: (order[row["cloud"]], row["method"]))
             write_csv(options.out / f"{measure}.csv", known)
         print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
-    command = shlex.join(["python", "experiments/scenes/run.py", *given])
+    command = shlex.join(["python", "experiments/scenes/run.py", *options.given])
     write_page(options.out / "results.md", page.page(tables), command, words, keeps=True)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     print(f"results are in {options.out}, {sum(one.ru_utime + one.ru_stime for one in used):,.0f} s of processors")

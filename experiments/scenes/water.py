@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 import jaxfilter as jf
 from jaxfilter.scenes.terrain import BRIDGE_AT, BRIDGE_PERIOD, PERIOD, Terrain
 
-CHECK = 12
-"""The seed: scenes of seed 11 were looked at while the rules of OST were chosen, and these were only scored."""
+CHECK = 13
+"""The seed: scenes of seeds 11 and 12 were looked at while the rules of OST were chosen, and these were only scored."""
 SIDE = 200.0
 """Metres along a side of what is cut out of a scene."""
 _LAND: dict[str, Any] = {
