@@ -6,10 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 import jaxfilter as jf
+from jaxfilter.cli.commands import main
 from jaxfilter.core.points import Points, canonical_points
 from jaxfilter.engines.grid import shapes
 from jaxfilter.engines.ground import grow
@@ -24,7 +26,7 @@ from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import landscape_slope
 from jaxfilter.steps.objects import Parts
 from jaxfilter.steps.pruning import Scatter, drop_vertices
-from jaxfilter.steps.rules import RULES, OstScene
+from jaxfilter.steps.rules import RULES, OstRule, OstScene
 from jaxfilter.steps.rules.scene import filled
 from jaxfilter.steps.seeds import standing, veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
@@ -793,3 +795,34 @@ def test_labels_are_those_of_the_whole_in_the_core_and_points_far_from_it_are_no
     assert (part.ground == whole.ground)[beyond == 0].all() and (part.height == whole.height)[beyond == 0].all()
     far = beyond > 30.01
     assert part.ground[far].sum() < 0.9 * whole.ground[far].sum() and part.ground[far].any(), "the lowest points alone"
+
+
+def test_a_rule_of_ones_own_acts_sweeps_and_is_named_on_the_command_line(rng, monkeypatch, tmp_path):
+    """It takes the western half from the ground; the core alone does not."""
+
+    @dataclasses.dataclass(frozen=True)
+    class West(OstRule):
+        SENSORS = ()
+        share: float = 0.5
+
+        def seed(self, scene):
+            x = scene.points.xyz[:, 0]
+            scene.never = scene.never | (x < self.share * x.max())
+            scene.seeds = scene.seeds[~scene.never[scene.seeds]]
+
+    xyz = np.column_stack([rng.uniform(0, 40, (3000, 2)), rng.normal(0, 0.02, 3000)])
+    monkeypatch.setitem(RULES, "west", West())
+    west, core = jf.OST(rules=["west"]), jf.OST(rules="none")
+    assert core.rules == () and west == jf.OST(rules="west") and hash(west.rules) == hash(("west",))
+    found = west(xyz).ground
+    assert core(xyz).ground.all() and not found[xyz[:, 0] < 19].any() and found[xyz[:, 0] > 21].all()
+    swept = jf.sweep(jf.OST(), xyz, {"rules": ["none", ("west",), ("west", "voids")]})
+    assert swept.ground.values.tolist() == [3000, found.sum(), found.sum()]
+    assert swept.rules.values.tolist() == ["none", "west", "west+voids"]
+    jf.write(tmp_path / "in.las", xyz, np.zeros(3000, bool), units="m")
+    given = [str(tmp_path / name) for name in ("in.las", "out.las")]
+    answer = CliRunner().invoke(main, ["ground", "ost", *given, "--rules", "west", "--units", "m"])
+    assert answer.exit_code == 0, answer.output
+    assert (jf.read(tmp_path / "out.las", units="m").reference == found).all()
+    with pytest.raises(jf.ParameterError, match="'east' is none of 'clusters'"):
+        jf.OST(rules=("east",))
