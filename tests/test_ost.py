@@ -819,7 +819,8 @@ def test_a_rule_of_ones_own_acts_sweeps_and_is_named_on_the_command_line(rng, mo
     swept = jf.sweep(jf.OST(), xyz, {"rules": ["none", ("west",), ("west", "voids")]})
     assert swept.ground.values.tolist() == [3000, found.sum(), found.sum()]
     assert swept.rules.values.tolist() == ["none", "west", "west+voids"]
-    jf.write(tmp_path / "in.las", xyz, np.zeros(3000, bool), units="m")
+    cloud = jf.PointCloud.from_arrays(xyz)
+    jf.write(tmp_path / "in.las", cloud, np.zeros(3000, bool))
     given = [str(tmp_path / name) for name in ("in.las", "out.las")]
     answer = CliRunner().invoke(main, ["ground", "ost", *given, "--rules", "west", "--units", "m"])
     assert answer.exit_code == 0, answer.output
