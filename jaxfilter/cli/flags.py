@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -41,7 +41,7 @@ def options(method: type[Filter]) -> list[click.Option]:
 def describe(field: dataclasses.Field[Any]) -> str:
     """One sentence on a field: what it is, its symbol, unit, admissible range and default."""
     meta = field.metadata
-    choices = ", ".join(str(c) for c in meta.get("choices") or meta.get("names") or ())
+    choices = ", ".join(str(c) for c in meta.get("choices") or ())
     unit = f"{meta.get('range', '')} {meta.get('unit', '')}".strip()
     default = "none" if field.default is None else str(field.default)
     notes = [f"symbol {meta['symbol']}" if meta.get("symbol") else "", unit, choices, f"default {default}"]
@@ -54,7 +54,7 @@ def _flag(name: str) -> str:
 
 def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamType:
     """The kind of values of a field, which are not yet held against its limits."""
-    if field.metadata.get("names") is not None:
+    if isinstance(field.metadata.get("choices"), Mapping):
         return click.STRING  # names joined by + or a comma, or none
     hint, choices = typing.get_type_hints(method)[field.name], field.metadata.get("choices")
     base = next(one for one in (*typing.get_args(hint), hint) if one is not type(None))  # float of float | None

@@ -53,16 +53,15 @@ def static(
     *,
     default: Any,
     cells: int | None = None,
-    choices: tuple[Any, ...] | None = None,
-    names: Mapping[str, Any] | None = None,
+    choices: tuple[Any, ...] | Mapping[str, Any] | None = None,
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
-    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; those with ``names`` are tuples of
-    keys of these, or such keys as a text; a switch, whose default is True or False, may be either."""
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; those whose ``choices`` are a mapping are tuples of
+    its keys, or such keys as a text; a switch, whose default is True or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
-    more = {"cells": cells, "choices": choices, "names": names, "optional": optional, "endless": endless}
+    more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
 
 
@@ -117,8 +116,7 @@ def describe_field(field: dataclasses.Field[Any]) -> str:
     meta, default = field.metadata, field.default
     choices = meta.get("choices")
     kind = " or ".join(map(repr, choices)) if choices else type(default).__name__ if default is not None else "float"
-    if meta.get("names") is not None:
-        kind = f"tuple of {', '.join(map(repr, meta['names']))}"
+    kind = "tuple of " * isinstance(choices, Mapping) + kind
     facts = [kind + " or None" * bool(meta.get("optional")), meta.get("unit"), meta.get("range")]
     facts += ["static" * bool(meta.get("static")), f"default {default!r}"]
     symbol = f"; {meta['symbol']} in the paper" if meta.get("symbol") else ""
@@ -148,7 +146,7 @@ def check_fields(params: Any) -> None:
                 why = "the field fixes shapes or a path through the code, and cannot be traced by jax.jit, vmap or grad"
                 raise ParameterError(f"{name}({f.name}=...): {why}; make one filter for each value")
             continue
-        if (names := meta.get("names")) is not None and value is not None:
+        if isinstance(names := meta.get("choices"), Mapping) and value is not None:
             object.__setattr__(params, f.name, _checked_names(f"{name}({f.name}={value!r})", value, names))
             continue
         if np.ndim(value) > 0:

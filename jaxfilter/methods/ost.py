@@ -113,7 +113,7 @@ class OST(Filter):
     rules: tuple[str, ...] | None = static(
         "rules that act besides the core, by name; None = those for the sensor",
         default=None,
-        names=RULES,
+        choices=RULES,
         optional=True,
     )
     low_points: int = static(
