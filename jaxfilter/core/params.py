@@ -58,8 +58,8 @@ def static(
     endless: bool = False,
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
-    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most; those whose ``choices`` are a mapping are tuples of
-    its keys, or such keys as a text; a switch, whose default is True or False, may be either."""
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most. Those whose ``choices`` are a mapping
+    are tuples of its keys, or such keys as a text. A switch, whose default is True or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
     more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
@@ -146,8 +146,9 @@ def check_fields(params: Any) -> None:
                 why = "the field fixes shapes or a path through the code, and cannot be traced by jax.jit, vmap or grad"
                 raise ParameterError(f"{name}({f.name}=...): {why}; make one filter for each value")
             continue
-        if isinstance(names := meta.get("choices"), Mapping) and value is not None:
-            object.__setattr__(params, f.name, _checked_names(f"{name}({f.name}={value!r})", value, names))
+        if isinstance(names := meta.get("choices"), Mapping):
+            found = None if value is None else _checked_names(f"{name}({f.name}={value!r})", value, names)
+            object.__setattr__(params, f.name, found)
             continue
         if np.ndim(value) > 0:
             wanted = f"a single value is needed, not an array of shape {np.shape(value)}"
