@@ -58,8 +58,8 @@ def static(
     endless: bool = False,
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path); see :func:`param`. ``optional`` fields may be None ("off"),
-    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most. Those whose ``choices`` are a mapping
-    are tuples of its keys, or such keys as a text. A switch, whose default is True or False, may be either."""
+    ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell`` at most. Those whose ``choices`` are a
+    mapping are tuples of its keys, or such keys as a text. A switch, whose default is True or False, may be either."""
     choices = (True, False) if isinstance(default, bool) else choices
     more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
     return _field(doc, domain, default, static=True, **more)
