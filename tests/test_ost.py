@@ -400,8 +400,8 @@ def test_in_a_sparse_forest_on_a_slope_the_terrain_is_that_of_the_few_points_bel
     terrain, truth = 0.25 * xy[:, 0] + 4 * np.sin(xy[:, 1] / 40), rng.random(9000) < 0.1
     cloud = jf.PointCloud.from_arrays(np.column_stack([xy, terrain + np.where(truth, 0, rng.uniform(2, 20, 9000))]))
     ost, smrf = (one.for_cloud(cloud)(cloud) for one in (jf.OST, jf.SMRF))
-    assert jf.evaluate(ost, truth).total < 0.6 * jf.evaluate(smrf, truth).total
-    assert jf.dtm_rmse(cloud, ost, truth).rmse < jf.dtm_rmse(cloud, smrf, truth).rmse
+    assert jf.evaluate(ost, truth).total < 0.2 * jf.evaluate(smrf, truth).total
+    assert jf.dtm_rmse(cloud, ost, truth).rmse < 0.4 * jf.dtm_rmse(cloud, smrf, truth).rmse
 
 
 def test_decks_are_looked_for_where_the_points_show_most_of_the_surface(rng):
@@ -552,24 +552,25 @@ def test_cells_outside_the_hull_are_told(rng, tin_of):
     assert 0 < inside.sum() < inside.size
 
 
-def test_a_void_hangs_from_the_lowest_around_its_corners(tin_of):
-    """Level land with a void 20 m wide, and a roof 5 m high at its edge."""
+@pytest.mark.parametrize("height", [5.0, 1.9])
+def test_a_void_hangs_from_the_lowest_around_its_corners_that_is_2_m_below_them(tin_of, height):
+    """Level land with a void 20 m wide, and a roof 5 m high, or a terrace, at its edge."""
     row, column = (a.ravel() + 0.5 for a in np.mgrid[:40, :60])
     roof = (column > 14) & (column < 20) & (row > 15) & (row < 25)
     land = (column < 20) | (column > 40)
-    xyz = points_of(np.column_stack([column, row, 5.0 * roof])[land])
+    xyz = points_of(np.column_stack([column, row, height * roof])[land])
     cells = cells_of(xyz)
-    scene = scene_of(np.zeros((40, 60)))
+    scene = scene_of(np.zeros((40, 60)), largest=6400)  # the window is 40 m, so that the rim is 8 m
     scene.tin, scene.cells = tin_of(xyz), cells
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
     straight = scene.z = filled(scene.tin, cells)[0]
-    dataclasses.replace(RULES["voids"], rim=8.0).fill(scene)
+    RULES["voids"].fill(scene)
     hung = scene.z
-    np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
+    np.testing.assert_allclose(hung[void], 0.0 if height > 2 else straight[void], atol=1e-6)
     expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
-    assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4
-    np.testing.assert_array_equal(hung[~void].ravel(), 5.0 * roof.reshape(40, 60)[~void])
+    assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 0.8 * height
+    np.testing.assert_allclose(hung[~void].ravel(), height * roof.reshape(40, 60)[~void], atol=1e-3)
 
 
 def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):

@@ -1,4 +1,4 @@
-"""Plants: seeds and vertices that stand on them, where they hide the ground."""
+"""Plants: points, seeds and vertices that stand above the ground where plants hide it."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def without_rising(scene: OstScene, suspect: np.ndarray, sides: int) -> np.ndarr
 
 @dataclasses.dataclass(frozen=True)
 class PlantsRule(OstRule):
-    """Where plants hide the ground, the surface is made without plants, seeds must not rise
-    steeply from others, and vertices must not stick out of those beside them."""
+    """Where plants hide the ground, the surface is made without what stands above the lowest points, seeds must not rise steeply
+    from others, and vertices must not stick out of those beside them."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE, DRONE)
     sides: int = 2

@@ -26,8 +26,7 @@ class OstScene:
         ost: the filter, whose fields rules may read. points: those that are classified, m of them. spacing: metres.
         low: bool[m], points that are too low to be seeds.
         plants: bool[m], where plants hide the ground. veil: bool[m], points of these that the surface is made without.
-        cells: the grid. lowest: i64, rows of the points that are lowest in their cell; tin: their
-            triangulation.
+        cells: the grid. lowest: i64, rows of the points that are lowest in their cell; tin: their triangulation.
         z: f32, the lowest elevation of each cell, metres, none missing; inside: bool, cells inside the hull of these points.
         high: f32, the highest elevation of each cell; known to the rule for steep terrain alone.
         steepest: f32, metres per cell that openings lower a cell by. segments: of ``z``.
@@ -78,8 +77,8 @@ class OstScene:
 
 @dataclasses.dataclass(frozen=True)
 class OstRule:
-    """A rule of OST: a frozen value that holds its constants. It changes the scene after a step, where it defines one of these
-    methods. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
+    """A rule of OST: a frozen value that holds its constants. It defines one or more of these methods; each changes the scene
+    after a step. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
 
     What ``bar`` and ``fill`` write is shared by the sets of a sweep: they replace an array, and do not write into it.
     """
