@@ -104,11 +104,29 @@ def layers() -> str:
     return text
 
 
+def commands() -> str:
+    """The help of every command, as it is printed."""
+    from click.testing import CliRunner
+    from jaxfilter.cli import main
+    from jaxfilter.cli.commands import workflow
+
+    def printed(*words: str) -> str:
+        text = CliRunner().invoke(main, [*words, "--help"], prog_name="jaxfilter", terminal_width=100).stdout
+        return f"```text\n{text}```\n\n"
+
+    text = printed()
+    for title, names in workflow().items():
+        text += f"## {title}\n\n" + "".join(f"### {name}\n\n{printed(name)}" for name in names)
+    return text + "## Methods\n\n" + "".join(f"### ground {name}\n\n{printed('ground', name)}" for name in jf.FILTERS)
+
+
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Pages of methods get pictures of their stages and their figures from the experiments; that on reports gets one, and that on
-    products its table."""
+    """Pages of methods get pictures of their stages and their figures from the experiments; those on reports, products and commands
+    get a report, a table and the help of all commands."""
     if docname == "docs/products":
         source[0] = source[0].replace("<!-- table of layers: docs/extension.py -->\n", layers())
+    if docname == "docs/commands":
+        source[0] = source[0].replace("<!-- help of all commands: docs/extension.py -->\n", commands())
     if docname == "docs/reports":
         stages.sample_report(Path(app.outdir) / "report.html")
         link = '<a href="../report.html">A report to try</a>, of SMRF on a simulated town.'

@@ -273,7 +273,7 @@ def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder)
 def test_places_and_breaklines_are_two_files(folder):
     both, made = folder / "both.gpkg", folder / "made"
     assert_one_line(ground(folder, "--review", both, "--breaklines", both), 2, "both.gpkg", "name another")
-    words = ("--classified", 2, "--overwrite", "--only", "contours", "--breaklines", made / "contours.gpkg")
+    words = ("--ground-class", 2, "--overwrite", "--only", "contours", "--breaklines", made / "contours.gpkg")
     assert_one_line(run("products", folder / "truth.laz", made, *words), 2, "contours.gpkg", "name another")
     assert not both.exists() and not made.exists()
 
@@ -305,6 +305,26 @@ def test_evaluate_counts_points_in_any_order(folder, scene, source, reference):
         confusion = facts("evaluate", folder / "out.laz", folder / reference, *arguments)["confusion"]
         for row, truth in zip(confusion, (scene.truth, ~scene.truth), strict=True):
             assert row == [(counted & truth & labels).sum(), (counted & truth & ~labels).sum()]
+
+
+def test_evaluate_and_report_take_folders(folder, scene):
+    """Two halves of a scene in folders have the counts of the whole."""
+    ground(folder, source="truth.laz")
+    west = scene.xyz[:, 0] < np.median(scene.xyz[:, 0])
+    for name, source in (("found", "out.laz"), ("truth", "truth.laz")):
+        (folder / name).mkdir()
+        las = laspy.read(folder / source)
+        for number, part in enumerate((west, ~west)):
+            piece = laspy.LasData(las.header)
+            piece.points = las.points[part]
+            piece.write(folder / name / f"{number}.laz")
+    both = facts("evaluate", folder / "found", folder / "truth")
+    assert both["confusion"] == facts("evaluate", folder / "out.laz", folder / "truth.laz")["confusion"]
+    assert np.array_equal(np.sum([one["confusion"] for one in both["files"]], axis=0), both["confusion"])
+    assert facts("report", folder / "found", folder / "page.html")["points"] == len(scene)
+    assert_one_line(run("evaluate", folder / "found", folder / "truth.laz"), 2, "two files or two folders")
+    (folder / "truth" / "1.laz").unlink()
+    assert_one_line(run("evaluate", folder / "found", folder / "truth"), 2, "holds 1 and")
 
 
 def test_evaluate_prints_a_table_and_undefined_figures_as_null(folder, scene):
@@ -353,7 +373,7 @@ def test_demo_leaves_a_scene_with_its_truth_and_labels(tmp_path):
     (("review", "in.laz"), "OUT is missing"),
     (("ground", "fptd", "{scene}"), "OUT is missing"),
     (("ground", "fptd", "nothing.laz", "out.laz"), "nothing.laz"),
-    (("ground", "nosuch", "{scene}", "out.laz"), "no method"),
+    (("ground", "nosuch", "{scene}", "out.laz"), "the methods are"),
     (("ground", "fptd", "{scene}", "out.laz", "--nosuch", "3"), "--nosuch"),
     (("ground", "fptd", "{scene}", "out.laz", "--max-rounds", "1.5"), "1.5"),
     (("ground", "fptd", "{scene}", "out.laz", "--window", "none"), "none"),

@@ -367,7 +367,7 @@ def test_a_new_raster_is_a_class_and_a_line_in_the_list(survey, tmp_path, monkey
 def test_products_by_command(survey, tmp_path):
     out = tmp_path / "out"
     words = ("products", survey / "in", out, "--workers", 1)
-    for wrong in (("--only", "dtm,hill"), ("--filter", "pmf", "--classified", 2), ("--only", "")):
+    for wrong in (("--only", "dtm,hill"), ("--filter", "pmf", "--ground-class", 2), ("--only", "")):
         assert run(*words, *wrong).exit_code == 2 and not out.exists()
     pmf = ("--filter", "pmf", "--set", "max_window=9", "--cell", 2, "--quiet")
     report = facts(*words, "--only", "hillshade, voids", *pmf)
@@ -376,7 +376,7 @@ def test_products_by_command(survey, tmp_path):
     refused = run(*words, "--only", "voids")
     assert refused.exit_code == 1 and "pass --overwrite to replace it, or pass --resume to go on" in refused.stderr
     shutil.rmtree(out)
-    completed(*words, "--only", "count", "--classified", 2)
+    completed(*words, "--only", "count", "--ground-class", 2)
     assert sorted(p.name for p in out.iterdir()) == ["count.tif", "survey.html"]
 
 
@@ -414,7 +414,7 @@ def test_one_file_may_go_to_standard_output(survey, done, tmp_path):
 
 
 @pytest.mark.parametrize("how, error, words", [
-    ({"only": ["dem"]}, jf.ParameterError, "choose of dtm, dsm"),
+    ({"only": ["dem"]}, jf.ParameterError, "choose from dtm, dsm"),
     ({"only": []}, jf.ParameterError, "only='nothing'"),
     ({"in_place": True}, jf.ParameterError, "cannot take the place of the input"),
     ({"ground": (30,)}, jf.InputError, "no point is ground"),

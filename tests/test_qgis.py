@@ -90,10 +90,10 @@ def test_choices_are_those_of_the_library():
      "--crs EPSG:25832 --overwrite --bounds 1 2 3 4 --work 'a b' --breaklines /w.gpkg"),
     ("products", {"INPUT": ["/1"], "METHOD": "csf", "ONLY": ["dtm", "chm"], "CELL": 0.5, "CELL_UNITS": "m", "OUTPUT": "/o/"},
      "products /1 /o/ --filter csf --for-cloud --only dtm,chm --cell 0.5 --cell-units m"),
-    ("products", {"INPUT": ["/1"], "CLASSIFIED": True, "CELL": 1.0, "OUTPUT": "/o/"}, "products /1 /o/ --classified 2"),
+    ("products", {"INPUT": ["/1"], "CLASSIFIED": True, "CELL": 1.0, "OUTPUT": "/o/"}, "products /1 /o/ --ground-class 2"),
     ("products", {"INPUT": ["/1"], "ONLY": [""], "MEMORY": "", "OUTPUT": "/o/"}, "products /1 /o/"),  # of widgets
     ("ground", {"INPUT": ["/1"], "EXTRA": [""], "MORE": "", "OUTPUT": "/o/"}, "ground /1 /o/"),
-    ("review", {"INPUT": ["/1"], "GROUND_CLASS": 8, "OUTPUT": "/p.gpkg"}, "review /1 /p.gpkg --classified 8"),
+    ("review", {"INPUT": ["/1"], "GROUND_CLASS": 8, "OUTPUT": "/p.gpkg"}, "review /1 /p.gpkg --ground-class 8"),
     ("apply", {"PLACES": "/p.gpkg", "FOLDER": "/in"}, "apply /p.gpkg /in"),
     ("accuracy", {"INPUT": ["/1"], "MODEL": "/d.tif", "CHECKPOINTS": "/c.csv", "OUTPUT": "/o.html"},
      "accuracy /1 /d.tif /o.html --checkpoints /c.csv"),

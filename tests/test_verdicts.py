@@ -252,7 +252,7 @@ def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, x
     log = json.loads((survey / "verdicts.json").read_text())
     assert [one["verdict"] for one in log["verdicts"]] == ["object", "bridge", "water"]
     again = done("apply", places, survey).output
-    assert "0 verdicts carried out (none), 3 were before" in again and states(survey) == after
+    assert "0 verdicts carried out (none), 3 earlier" in again and states(survey) == after
 
 
 def test_files_have_the_labels_of_memory(survey, xyz, wrong, tmp_path):

@@ -107,7 +107,7 @@ def in_four(cloud: jf.PointCloud, folder) -> jf.PointCloud:
 def test_water_of_tiles_is_that_of_the_whole(tmp_path):
     """By points of class 9: rasters of four files, in tiles that cut the river, and those of the cloud in memory."""
     cloud = in_four(valley(0.002), tmp_path / "in")
-    how = ("--classified", 2, "--units", "m", "--cell", 2, "--tile", 150, "--workers", 1)
+    how = ("--ground-class", 2, "--units", "m", "--cell", 2, "--tile", 150, "--workers", 1)
     how += ("--only", "dtm,hillshade,chm", "--breaklines", tmp_path / "out" / "water.gpkg")
     assert "water.gpkg: 1 outline of water" in done("products", tmp_path / "in", tmp_path / "out", *how).output
     model = jf.dtm(cloud, cell=2.0)

@@ -1,4 +1,4 @@
-"""The ``jaxfilter`` command: ground, evaluate, methods.
+"""The ``jaxfilter`` command as a whole, and its commands ground, evaluate and methods.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -18,15 +18,16 @@ from ..core.process import collect_seldom
 from ..core.version import __version__
 from ..terrain.layers import LAYERS
 from .options import BREAKLINES, BY_DATA, READING, RUN_OPTIONS, WRITTEN, check_shapes, open_files, take, take_classes
-from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, tell
-from .session import Session, logger, stoppable
-from .values import CLASS, INPUT, OUTPUT, on_command_line, option
+from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
+from .session import BadUsage, Session, logger, stoppable
+from .values import CLASS, OUTPUT, on_command_line, option
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
+    from ..scoring import Scores
     from ..surveys.measures import Recipe
 
-REVIEW = option("--review", "Also write the places where the terrain may be wrong, as .gpkg or .geojson.", OUTPUT)
+REVIEW = option("--review", "Also write the places where the terrain may be wrong, to this .gpkg or .geojson.", OUTPUT)
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
@@ -37,6 +38,17 @@ _INSTEAD = {
 """What is typed first elsewhere, and what to type here."""
 
 
+def workflow() -> dict[str, tuple[str, ...]]:
+    """The commands in the order in which a project needs them."""
+    return {
+        "Look and try": ("demo", "info", "methods"),
+        "Find the ground": ("ground", "report", "evaluate"),
+        "Make models": ("products", *LAYERS, "height"),
+        "Check and repair": ("review", "apply", "accuracy"),
+        "Choose parameters": ("sweep", "calibrate"),
+    }
+
+
 class Program(click.Group):
     """The command as a whole: it can be stopped, see ``stoppable``, answers words of other programs, and has a command for each
     layer."""
@@ -45,8 +57,16 @@ class Program(click.Group):
     """Makes the command of a layer by its name."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names, sorted."""
-        return sorted([*self.commands, *LAYERS])
+        """Names, in the order of the work."""
+        return [name for names in workflow().values() for name in names]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """A section for each part of the work."""
+        width = max(map(len, self.list_commands(ctx)))
+        for title, names in workflow().items():
+            commands = [(name.ljust(width), self.get_command(ctx, name)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl([(name, one.get_short_help_str(200)) for name, one in commands if one])
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """A command by its name."""
@@ -58,10 +78,10 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except click.NoSuchOption as error:
-                if error.option_name not in _INSTEAD:
-                    raise
-                words = f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}."
-                raise click.UsageError(words, error.ctx) from error
+                if instead := _INSTEAD.get(error.option_name) or _methods_with(error.option_name):
+                    words = f"{error.message.rstrip('.')}: {instead}."
+                    raise click.UsageError(words, error.ctx) from error
+                raise
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Say what to type where the first word is a method, a file, or the command of another program."""
@@ -79,10 +99,25 @@ class Program(click.Group):
         return super().resolve_command(ctx, args)
 
 
+def _methods_with(flag: str) -> str:
+    """What to type for an option of some methods; nothing if no method has it."""
+    from ..methods import FILTERS
+    from .flags import fields
+
+    name = flag.removeprefix("--").removeprefix("no-").replace("-", "_")
+    if not (found := [method for method, kind in FILTERS.items() if name in fields(kind)]):
+        return ""
+    return f"it is a parameter of {', '.join(found)}; name the method first, jaxfilter ground {found[0]} IN OUT {flag} VALUE"
+
+
 @click.group(cls=Program, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
 @click.version_option(__version__)
 def main() -> None:
-    """Ground filtering of airborne lidar: LAS in, classified LAS out."""
+    """Find the ground points of airborne lidar, and make terrain models of them.
+
+    jaxfilter COMMAND --help explains a command. jaxfilter ground in.laz out.laz classifies a file; jaxfilter products FOLDER OUT
+    classifies a folder and makes all models.
+    """
 
 
 def command(
@@ -107,18 +142,19 @@ class Ground(click.Command):
 
 @main.command(cls=Ground)
 def ground() -> None:
-    """Classify the ground points of a file, or of a collection of files into a folder.
+    """Classify the ground points of files.
 
-    A method may be named before IN, as in jaxfilter ground smrf IN OUT: its parameters are options then, see jaxfilter ground
-    METHOD --help. Without one the default is taken, set up for the data.
+    IN is a LAS, LAZ or text file, and OUT is another one, or - for standard output. Or IN are folders, patterns, several files,
+    a virtual point cloud (.vpc) or URLs, and OUT is a folder.
 
-    IN is a LAS, LAZ or text file and OUT another, or - for standard output; or IN are folders, patterns, several files, a
-    virtual point cloud (.vpc) or URLs, and OUT is a folder. Large data are filtered in tiles that see their surroundings,
-    across files, by several processes.
+    The default method needs no parameters: it takes them from the data. To use another one, name it before IN: jaxfilter
+    ground smrf IN OUT. Its parameters are options then; jaxfilter ground METHOD --help lists them.
 
-    Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
-    everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
-    (--ignore-class). --classes usgs also writes noise, water and decks.
+    Ground points get class 2. Points that had class 2 and are no ground get class 1. All else in the files stays as it is.
+    Points of classes 7 and 9, and of 17 and above, are not judged (--ignore-class). --classes usgs also writes noise, water
+    and bridge decks.
+
+    Large data are cut into tiles. Each tile is read with its surroundings, so results have no seams.
     """
 
 
@@ -145,8 +181,10 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     parameters: list[click.Parameter] = [paths]
     if method is not None:
         presets = click.Choice(list(method.PRESETS))
-        parameters += [*flags.options(method), option("--preset", "A named set of parameters.", presets)]
-    extra = option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True)
+        parameters += [*flags.options(method), option("--preset", "Start from this named set of parameters.", presets)]
+    extra = option(
+        "--extra", "Also write this quantity of each point, in metres or degrees.", click.Choice(EXTRAS), multiple=True
+    )
     parameters += [*BY_DATA, *READING, *WRITTEN, extra, REVIEW, BREAKLINES, *RUN_OPTIONS, *SESSION]
     if method is not None:
         return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
@@ -189,25 +227,66 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
 
 
 @command(
-    click.Argument(["labelled"], metavar="OUT", type=INPUT),
-    click.Argument(["reference"], metavar="REFERENCE", type=INPUT),
-    option("--ignore-class ignore_classes", "Leave points of this class of REFERENCE out.", int, multiple=True),
-    option("--candidates-only", "Count only points of OUT that are judged by default.", bool),
-    option("--ground-class", "Of OUT.", CLASS, default=2),
+    click.Argument(["labelled"], metavar="OUT", type=click.Path(exists=True, path_type=Path)),
+    click.Argument(["reference"], metavar="REFERENCE", type=click.Path(exists=True, path_type=Path)),
+    option("--ignore-class ignore_classes", "Leave out points of this class of REFERENCE.", int, multiple=True),
+    option("--candidates-only", "Count only those points of OUT that jaxfilter ground judges by default.", bool),
+    option("--ground-class", "Class of the ground points of OUT.", CLASS, default=2),
 )
-def evaluate(session: Session, labelled: Path, reference: Path, ground_class: int, **options: Any) -> Answer:
-    """Score the ground labels of OUT against those of REFERENCE.
+def evaluate(session: Session, labelled: Path, reference: Path, **options: Any) -> Answer:
+    """Score ground labels against a reference.
 
-    Both are LAS, LAZ or labelled text files of the same points, in any order. Points of class 0 in REFERENCE were never
-    classified and do not count.
+    OUT and REFERENCE are LAS, LAZ or labelled text files of the same points, in any order. Or both are folders: then files of
+    the same name are compared, and the scores count all their points. Points of class 0 in REFERENCE were never classified and
+    do not count.
     """
+    from ..scoring import Scores
+
+    pairs = _pairs(labelled, reference)
+    with session.reading(*(path for pair in pairs for path in pair)):
+        each = {str(pair[0].name): _score(*pair, **options) for pair in pairs}
+    scores = Scores.from_confusion(sum(one.confusion for one in each.values()))
+    facts, text = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}, str(scores)
+    if labelled.is_dir():
+        heading = ("file", "Type I", "Type II", "total", "kappa")
+        figures = {name: (one.type1, one.type2, one.total, one.kappa) for name, one in each.items()}
+        rows = [(name, *(f"{value:.2f}" for value in values)) for name, values in figures.items()]
+        facts["files"] = [{"file": name, **one.as_dict()} for name, one in each.items()]
+        text += "\n" + table_text(heading, rows, left=1)
+    return Answer(facts, text, always=True)
+
+
+def _pairs(labelled: Path, reference: Path) -> list[tuple[Path, Path]]:
+    """The files that are compared: two files, or those of two folders that have one name but for the suffix. Raises BadUsage."""
+    if labelled.is_dir() != reference.is_dir():
+        raise BadUsage(f"{labelled} and {reference}: one is a folder and one is a file; name two files or two folders")
+    if labelled.is_file():
+        return [(labelled, reference)]
+    from ..files.text import TEXT_SUFFIXES
+    from ..files.writing import LAS_SUFFIXES
+
+    ours, theirs = (
+        {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in (*LAS_SUFFIXES, *TEXT_SUFFIXES)}
+        for folder in (labelled, reference)
+    )
+    if alone := sorted(ours.keys() ^ theirs.keys()):
+        here, there = (labelled, reference) if alone[0] in ours else (reference, labelled)
+        raise BadUsage(f"{here} holds {alone[0]} and {there} does not: both must hold the same files")
+    if not ours:
+        raise BadUsage(f"{labelled}: holds no .las, .laz or text file")
+    return [(path, theirs[stem]) for stem, path in ours.items()]
+
+
+def _score(
+    labelled: Path, reference: Path, *, ground_class: int, ignore_classes: tuple[int, ...], candidates_only: bool
+) -> Scores:
+    """The scores of one file against another. Raises: InputError for missing labels and for other points."""
     from ..core.errors import InputError
     from ..files.reading import read
     from ..scoring import evaluate as score
     from ..scoring import match_points
 
-    with session.reading(labelled, reference):
-        cloud, truth = read(labelled, units="m"), read(reference, units="m")
+    cloud, truth = read(labelled, units="m"), read(reference, units="m")
     result = cloud.reference if cloud.classification is None else cloud.classification == ground_class
     if result is None:
         raise InputError(f"{labelled} has neither classes nor labels: give the output of jaxfilter ground")
@@ -217,10 +296,8 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
     classes = truth.classification
     if classes is None and cloud.classification is not None:
         classes = cloud.classification[match]
-    ignored = ~cloud.candidate[match] if options["candidates_only"] else None
-    scores = score(result[match], truth, classes=classes, ignore_classes=options["ignore_classes"], ignore=ignored)
-    facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}
-    return Answer(facts, str(scores), always=True)
+    ignored = ~cloud.candidate[match] if candidates_only else None
+    return score(result[match], truth, classes=classes, ignore_classes=ignore_classes, ignore=ignored)
 
 
 @main.command(params=[option("--json as_json", "Print JSON.", bool)])

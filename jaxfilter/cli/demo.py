@@ -32,11 +32,11 @@ DEMO_FILES = (*CLOUDS, *(f"{name}.png" for name in PICTURES))
     option("--overwrite", "Write into DIR even if it holds other files.", bool),
 )
 def demo(session: Session, directory: Path, method: str | None, overwrite: bool, **survey: Any) -> Answer:
-    """Make a scene whose ground is known, filter it, score the result and draw it.
+    """Filter a scene whose ground is known, and draw the result.
 
-    Writes into DIR (by default jaxfilter-demo): scene.laz, scene_truth.laz, scene_ground.laz, and pictures of
-    the cloud before filtering, of the true ground, of the filtered ground, of the errors, and of all four. Errors less
-    than a metre high, low plants mostly, have a colour of their own.
+    The folder DIR gets scene.laz, scene_truth.laz and scene_ground.laz, and pictures of the points, of the true ground, of the
+    ground that was found, of the errors, and of all four. Errors less than a metre high have a colour of their own; most are
+    low plants.
     """
     from .. import scenes
     from ..files.disk import UNFINISHED

@@ -19,7 +19,7 @@ from .values import Number
 def method_of(name: str) -> type[Filter]:
     """A filter class by its name. Raises BadUsage."""
     if name not in FILTERS:
-        raise BadUsage(f"no method {name!r}: choose one of {', '.join(FILTERS)}")
+        raise BadUsage(f"there is no method {name!r}: choose one of {', '.join(FILTERS)}")
     return FILTERS[name]
 
 

@@ -22,99 +22,140 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 STATED = [
-    option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT"),
-    option("--crs", "CRS of files that state none, like EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"),
+    option(
+        "--units", "Units of X, Y and Z: m, ft, us-ft, or two with a comma, XY,Z.  [default: those of the CRS]", "UNIT"
+    ),
+    option(
+        "--crs",
+        "CRS for files that state none, such as EPSG:25832. Outputs state it. Coordinates stay as they are.",
+        "CRS",
+    ),
 ]
-BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
+BOUNDS = option("--bounds", "Read only the points in this box, in the units of the files.", float, nargs=4, metavar=BOX)
 AOI = option(
     "--aoi",
-    "Polygons, such as a .gpkg, whose points are written. The labels are those of the whole.",
+    "A file of polygons, such as a .gpkg. Only points inside are written; points outside help to find the ground.",
     click.Path(exists=True, path_type=Path),
 )
 DUPLICATES = option(
     "--drop-duplicates",
-    "Write an echo that several LAS files hold, such as tiles with a buffer, into the first of them only.",
+    "If several LAS files hold the same echo, as tiles with a buffer do, write it to the first of them only.",
     bool,
 )
-DROP_INVALID = option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool)
+DROP_INVALID = option("--drop-invalid", "Accept points with NaN or infinite coordinates. They become non-ground.", bool)
 READING = [
     *STATED,
     BOUNDS,
     AOI,
-    option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
+    option(
+        "--returns",
+        "Echoes that are judged: first, intermediate, last, only, or all; several with commas.",
+        default="last,only",
+    ),
     option(
         "--ignore-class ignore_classes",
-        "Points of this class are not judged and keep it. Replaces the default; none judges all.",
+        "Do not judge points of this class; they keep it. This replaces the default. none: judge all points.",
         Number(int, optional=True),
         multiple=True,
         default=KEPT_CLASSES,
         show_default="7, 9, and all from 17 on",
         callback=lambda context, parameter, given: tuple(number for number in given if number is not None),
     ),
-    option("--ignore-overlap", "Points of class 12 or with the overlap flag are not judged either.", bool),
-    option("--keep-withheld", "Judge points with the withheld flag as well.", bool),
+    option("--ignore-overlap", "Do not judge points of class 12 or with the overlap flag.", bool),
+    option("--keep-withheld", "Judge points with the withheld flag, too.", bool),
     DROP_INVALID,
     DUPLICATES,
 ]
 """Fields of Reading."""
 PRESET_OF_CLASSES = option(
     "--classes preset_of_classes",
-    "Classes to write: ground; or usgs (1, 2, 7, 9, 17 and the overlap flag).",
+    "The classes that are written. ground: 2 and 1. usgs: 1, 2, 7, 9, 17 and the overlap flag.",
     click.Choice(["ground", "usgs"]),
     default="ground",
 )
 WRITTEN = [
     PRESET_OF_CLASSES,
     option("--ground-class", "Class for ground points.", CLASS, default=2),
-    option("--other-class", "Class for judged points that lose their class.", CLASS, default=1),
+    option("--other-class", "Class for points that lose their class because they are no ground.", CLASS, default=1),
     option(
-        "--reset", "Which classes judged non-ground loses.", click.Choice(["ground", "all", "none"]), default="ground"
+        "--reset",
+        "Points found to be no ground get --other-class: those of class 2 (ground), all, or none of them.",
+        click.Choice(["ground", "all", "none"]),
+        default="ground",
     ),
-    option("--only-ground", "Mark ground and change no other class, unless an option below asks for it.", bool),
-    option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
-    option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),
-    option("--bridge-class bridge", "Class for points of decks (ASPRS: 17), by methods that find them.", CLASS),
-    option("--unjudged-class unjudged", "Class for points of class 0 that are not judged.", CLASS),
+    option(
+        "--only-ground",
+        "Write ground points only. All other points keep their class, unless an option below changes it.",
+        bool,
+    ),
+    option("--noise-class", "Class for low outliers (ASPRS: 7). All methods but SMRF find them.", CLASS),
+    option("--water-class water", "Class for points of water (ASPRS: 9). OST finds them.", CLASS),
+    option("--bridge-class bridge", "Class for points of bridge decks (ASPRS: 17). OST finds them.", CLASS),
+    option("--unjudged-class unjudged", "Class for those points of class 0 that are not judged.", CLASS),
     option(
         "--overlap-flag",
-        "Judged points of class 12 get another class, and the overlap flag (point formats from 6 on).",
+        "Points of class 12 that are judged get the overlap flag and another class (point formats 6 to 10).",
         bool,
     ),
 ]
 """Fields of Classes."""
-FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
-PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
-FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
-_WIDTH = "Width of the largest building; sets what depends on it, as --for-cloud does."
+FIELDS = option("--set fields", "Set a parameter of the filter.", "NAME=VALUE", multiple=True)
+PRESET = option("--preset", "Start from this named set of parameters of the filter.", "NAME")
+FOR_CLOUD = option("--for-cloud", "Set the parameters that depend on the point spacing by that of the data.", bool)
+_WIDTH = "Width of the largest building. Sets the parameters that depend on it, and does what --for-cloud does."
 LARGEST_BUILDING = option("--largest-building", _WIDTH, METRES)
 BY_DATA = [FOR_CLOUD, LARGEST_BUILDING]
-FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
-BREAKLINES = option("--breaklines", "Also write outlines of waters with their level, as .gpkg or .geojson.", OUTPUT)
+FINDER = option(
+    "--filter",
+    "Find the ground with this method. Without it, the classes or labels of IN say what is ground.",
+    "METHOD",
+)
+BREAKLINES = option(
+    "--breaklines", "Also write the outlines of waters with their level, to this .gpkg or .geojson.", OUTPUT
+)
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
-_OF_GROUND = "Class of the ground points, without --filter. With 40, the bed of waters, no water is level."
+_OF_GROUND = (
+    "Class of the ground points of IN, if there is no --filter. With class 40 (bed of waters), water is not made level."
+)
 CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
 GROUND_OPTIONS = [*FILTER, CLASSES, *STATED, AOI, DROP_INVALID]
 """What is ground."""
 RUN_OPTIONS = [
-    option("--tile", "Side of the tiles of large data.  [default: as their points allow]", METRES),
-    option("--halo", "Width around each tile that is read too.  [default: what the method needs]", click.FloatRange(0)),
-    option("--wide-halos", "Accept a --tile so small that halos hold more than twice its points.", bool),
-    option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
-    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", size),
-    option("--scheduler client", "Address of a Dask scheduler, whose workers then do the work.", "ADDRESS"),
-    option("--work", "Local folder for what a run keeps to go on; several files into a URL need one.", "FOLDER"),
-    option("--resume", "Go on with the run that was begun for OUT.", bool),
-    option("--overwrite", "Replace OUT if it exists, and begin the run anew.", bool),
+    option("--tile", "Side of the tiles into which large data are cut.  [default: by number of points]", METRES),
+    option(
+        "--halo",
+        "Each tile is read with a border of this width.  [default: what the method needs]",
+        click.FloatRange(0),
+    ),
+    option(
+        "--wide-halos",
+        "Allow tiles that are so small that their borders (--halo) hold more than twice their points.",
+        bool,
+    ),
+    option("--workers", "Number of processes; of threads if there is one tile.  [default: one for each core]", COUNT),
+    option(
+        "--memory", "Memory that all processes together may use, such as 4GB.  [default: 70 % of what is free]", size
+    ),
+    option("--scheduler client", "Address of a Dask scheduler. Its workers do the work.", "ADDRESS"),
+    option(
+        "--work",
+        "Local folder in which a run keeps its progress. Needed if OUT is a URL and IN are several files.",
+        "FOLDER",
+    ),
+    option("--resume", "Continue the run of this OUT that was stopped.", bool),
+    option("--overwrite", "Replace OUT if it exists, and start from the beginning.", bool),
     option("--dry-run", "Write nothing; say which tiles, files, memory and time the run would need.", bool),
-    option("--in-place", "Replace the files IN. Then all names are IN; there is no OUT.", bool),
+    option("--in-place", "Change the files IN themselves. Name no OUT.", bool),
 ]
 """Fields of RunOptions."""
-THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
-MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", size, default="2GB")
+THREADS = option("--workers", "Number of threads for triangulation.  [default: one for each core]", COUNT)
+MEMORY = option(
+    "--memory", "Memory for sets of parameters that are computed at the same time, such as 4GB.", size, default="2GB"
+)
 SWEPT = [FIELDS, PRESET, LARGEST_BUILDING, *STATED, MEMORY, THREADS]
 """What sweeps and calibrations share."""
-REPLACE = option("--overwrite", "Replace what exists.", bool)
+REPLACE = option("--overwrite", "Replace outputs that exist.", bool)
 
 
 def take(kind: type[T], options: dict[str, Any], **more: Any) -> T:
@@ -191,8 +232,8 @@ def check_inputs(names: Sequence[str], bare: bool = False) -> None:
     for name in names:
         if "://" not in name and not any(c in name for c in "*?[") and not Path(name).exists():
             method = bare and name == names[0] and "." not in name
-            words = f", and no method: choose one of {', '.join(FILTERS)}" if method else ""
-            raise BadUsage(f"{name}: no such file or folder{words}")
+            words = f", folder or method; the methods are {', '.join(FILTERS)}" if method else " or folder"
+            raise BadUsage(f"{name}: there is no such file{words}")
 
 
 def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), made: str = "") -> None:

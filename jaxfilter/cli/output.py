@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .options import Files
 
 _PLACES_LISTED, _FILES_LISTED = 5, 5
-_COMPLETE = "is there already, and nothing was left to do; --overwrite makes it anew"
+_COMPLETE = "is complete already, and nothing was done. Pass --overwrite to make it again"
 
 
 def run_facts(session: Session, report: RunReport, files: Files | None = None) -> dict[str, Any]:
@@ -174,11 +174,11 @@ class Answer:
     complete: bool = True
 
 
-_EVERY = "Seconds between lines of progress on standard error, where that is no terminal."
+_EVERY = "Seconds between lines of progress, if standard error is no terminal."
 SESSION = [
-    option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
+    option("--quiet -q", "Print no progress, no notes and no summary. Warnings and errors stay.", bool),
     option("--json as_json", "Print the result as JSON.", bool),
-    option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
+    option("--log", "Append each step with its time, warnings and errors to this file.", OUTPUT),
     option("--progress-every", _EVERY, click.FloatRange(0), default=LINE_EVERY),
     option("--debug", "Show the traceback of an error.", bool),
 ]

@@ -14,7 +14,7 @@ from .commands import command
 from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
 from .output import Answer, times
 from .session import BadUsage, Session
-from .values import CLASS, COUNT, INPUT, OUTPUT, option
+from .values import CLASS, COUNT, OUTPUT, option
 
 if TYPE_CHECKING:
     from ..core.cloud import PointCloud
@@ -24,31 +24,32 @@ OWN = "own"
 
 
 @command(
-    click.Argument(["source"], metavar="IN", type=INPUT),
+    click.Argument(["source"], metavar="IN", type=click.Path(exists=True, path_type=Path)),
     click.Argument(["target"], metavar="OUT.html", type=OUTPUT),
     *FILTER,
     option(
         "--reference",
-        "Show errors against the ground labels of this file, which holds the same points in any order; own takes those of IN.",
+        "Show errors against the ground labels of this file. It holds the same points, in any order. own: the labels of IN.",
         "FILE|own",
     ),
     option("--ground-class", "Class of the ground points of IN, if there is no --filter.", CLASS, default=2),
     option(
         "--steps",
-        "Number of positions of the slider; at most 15 where each is a classification.  [default: as many as are quick]",
+        "Positions of the slider; at most 15 if each needs a classification.  [default: as many as are quick]",
         click.IntRange(0, 250),
     ),
-    option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
+    option("--max-points", "Draw no more points than this.", COUNT, default=1_500_000),
     option("--title", "Title of the page.  [default: the name of IN]"),
     *(BOUNDS, *STATED, THREADS, REPLACE),
 )
 def report(session: Session, source: Path, target: Path, reference: str | None, **options: Any) -> Answer:
-    """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
+    """Make a page on a classification: maps, profiles, places to look at.
 
-    The page is one HTML file that needs no network. The ground is what --filter finds, with a slider that labels the points
-    anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed. OUT may be - for standard output.
+    IN is a file, or a folder whose LAS and LAZ files are shown together. The page is one HTML file that needs no network. The
+    ground is what --filter finds, with a slider that labels the points anew, or the points of class 2 of IN, or of label 0 in
+    text. IN is not changed. OUT may be - for standard output.
     """
-    from ..files.reading import read
+    from ..files.writing import LAS_SUFFIXES
     from ..reports.page import PAGE_SUFFIXES, ReportOptions
     from ..reports.page import report as make_page
 
@@ -63,8 +64,15 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
         raise BadUsage("--reference own: the labels of IN are what is shown; name a file, or pass --filter METHOD")
     if reference not in (None, OWN) and not Path(str(reference)).is_file():
         raise BadUsage(f"--reference {reference}: there is no such file; the labels of IN are called own")
-    with session.reading(source):
-        cloud = read(source, units=how.units, crs=how.crs, bounds=how.bounds, progress=session.progress)
+    files = (
+        sorted(path for path in source.iterdir() if path.suffix.lower() in LAS_SUFFIXES)
+        if source.is_dir()
+        else [source]
+    )
+    if not files:
+        raise BadUsage(f"{source}: holds no .las or .laz file")
+    with session.reading(*files):
+        cloud = _joined(files, how, session)
         truth = None if reference is None else _reference(cloud, source, reference, how)
     result: Any
     if recipe is not None:
@@ -83,6 +91,19 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
     text = f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}"
     return Answer(facts, text)
+
+
+def _joined(files: list[Path], how: Reading, session: Session) -> PointCloud:
+    """The points of all files in one cloud. Raises: InputError for a file that cannot be read, or files of several CRS."""
+    from ..files.reading import read
+    from ..surveys.collection import open as open_collection
+    from ..surveys.tiles import joined
+
+    if len(files) == 1:
+        return read(files[0], units=how.units, crs=how.crs, bounds=how.bounds, progress=session.progress)
+    collection = open_collection([str(path) for path in files], units=how.units, crs=how.crs)
+    units = collection.units
+    return joined([read(path, units=units, crs=how.crs, bounds=how.bounds) for path in files])
 
 
 def _reference(cloud: PointCloud, source: Path, reference: str, how: Reading) -> Any:

@@ -31,10 +31,10 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
     REPLACE,
 )
 def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Path | None, **options: Any) -> Answer:
-    """What a file says of itself: points, extent, CRS, units, classes and echoes.
+    """Show points, extent, CRS, units, classes and echoes of a file.
 
-    Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
-    what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
+    For several files, a folder, a pattern or a virtual point cloud (.vpc), it prints a table from the headers alone. It also
+    lists overlaps, gaps, doubles, files that cannot be read, and mixed CRS or units.
     """
     from ..files.disk import new_file
     from ..files.storage import place_of

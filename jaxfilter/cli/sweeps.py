@@ -47,11 +47,11 @@ _SEARCHED = "Search this field between these values.  [default: the thresholds o
     click.Option(["--resume/--fresh"], default=True, help="Go on with the sweep in OUT_DIR, or replace it."),
 )
 def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: bool, **options: Any) -> Answer:
-    """Classify with many sets of parameters, and score each against the labels of IN.
+    """Score many sets of parameters against the labels of IN.
 
-    Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
-    scores (NetCDF, for xarray); sets.csv, a line per set, best first; and pictures. An interrupted sweep goes on where it
-    was when the command is given again.
+    Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. OUT_DIR gets sweep.nc, all scores
+    (NetCDF, for xarray); sets.csv, a line for each set, best first; and pictures. If a sweep was stopped, give the same command
+    again to continue it.
     """
     from ..core.errors import InputError
     from ..sweeps import sweep as sweeps
@@ -127,11 +127,11 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     REPLACE,
 )
 def calibrate(session: Session, source: Path, labels_file: Path | None, out: Path | None, **options: Any) -> Answer:
-    """Find the parameters that suit IN from the labels of some of its points.
+    """Find parameters by the labels of some points of IN.
 
-    Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
-    the rest at class 0. If the rest is class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name
-    the patches with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the others chose.
+    Label a few patches in different places by hand: ground as class 2, all else there as another class. Leave the rest at
+    class 0. If the rest has class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name the patches
+    with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the other folds chose.
     """
     from ..files.disk import check_bounds, new_file
     from ..files.reading import read

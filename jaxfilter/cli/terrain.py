@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 
 CELL = [
-    option("--cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
+    option("--cell", "Side of a cell. --cell-units names the unit.", float, default=1.0),
     option(
-        "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
+        "--cell-units", "Unit of --cell: that of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
 ]
 _MODEL = [
@@ -76,11 +76,10 @@ def layer_command(name: str) -> click.Command:
     form = "a GeoPackage or GeoJSON" if kind.SUFFIXES[0] == ".gpkg" else "a Cloud Optimized GeoTIFF"
     help = f"""Make {LAYERS[name].help}, as {form}.
 
-    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. Large data are made in
-    tiles that see the ground around them.
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs.
 
-    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to
-    multiples of --cell, in the coordinate system and units of IN. If OUT is -, the file goes to standard output.
+    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells begin at
+    multiples of --cell, in the CRS and units of IN. If OUT is -, the file goes to standard output.
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
     shared = (*GROUND_OPTIONS, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN_OPTIONS[:-1])
@@ -132,31 +131,34 @@ def _cells(report: TerrainReport, side: str) -> str:
     *FILTER,
     *READING,
     PRESET_OF_CLASSES,
-    option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
+    option(
+        "--ground-class known", "Points of this class of IN are the ground; classify no files.", CLASS, multiple=True
+    ),
     option("--only", f"What is made, with commas between: {','.join(LAYERS)}.  [default: everything]", "NAMES"),
     *CELL,
     BREAKLINES,
     *RUN_OPTIONS[:-1],
 )
 def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
-    """Classify a survey, and make all rasters and contour lines of it, each as one file in the folder OUT.
+    """Classify a survey, and make all rasters and contour lines of it.
 
-    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. OUT then holds the folder
-    classified/, as jaxfilter ground makes it, a file of each raster, such as dtm.tif, contours.gpkg, and survey.html, a page
-    that shows them.
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. OUT is a folder. It gets the
+    folder classified/ (as from jaxfilter ground), one file of each raster, such as dtm.tif, contours.gpkg, and survey.html, a
+    page that shows them.
 
-    The ground is found by the default method, set up for the data, unless --filter names another one. A run that was stopped
-    goes on with --resume.
+    The default method finds the ground, unless --filter names another one. --resume continues a run that was stopped.
     """
     from ..files.classes import Classes
     from ..surveys.products import products as make_products
 
-    recipe, classes, known = take_recipe(options), take_classes(options), options["classified"]
+    recipe, classes, known = take_recipe(options), take_classes(options), options.pop("known")
     if recipe is not None and known:
-        raise BadUsage("--filter and --classified: the ground is found, or it is known: name one of the two")
+        raise BadUsage(
+            "--filter and --ground-class: the first finds the ground, the second says which points it is: pass one of the two"
+        )
     if known and classes != Classes():
         raise BadUsage(
-            "--classes and --classified: files that are classified are not written: leave out one of the two"
+            "--classes and --ground-class: no classified files are written if the ground is known: leave out one of the two"
         )
     only = None if options["only"] is None else options["only"].replace(" ", "").split(",")
     if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
@@ -186,19 +188,19 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     *GROUND_OPTIONS,
     BOUNDS,
     DUPLICATES,
-    option("--replace-z", "Write heights in place of Z instead of as an extra dimension.", bool),
+    option("--replace-z", "Replace Z by the height. Without it, heights are an extra dimension.", bool),
     *RUN_OPTIONS,
 )
 def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Write the height of every point above the ground, in the units of Z.
 
-    IN is a file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs, and OUT is
-    a folder. If OUT is -, the file goes to standard output. The ground of neighbouring files counts as well, so that heights
-    have no seams.
+    IN is a file, and OUT is another one. Or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs, and
+    OUT is a folder. If OUT is -, the file goes to standard output. Heights have no seams: each file sees the ground of its
+    neighbours.
 
-    The ground is linear in the triangles of the ground points: those of class 2 of IN, or of label 0 in text, or those
-    that --filter finds, whose classes are then written as well, as by jaxfilter ground. All points get a height, noise and
-    water included. It goes into the extra dimension HeightAboveGround, as in PDAL; all else stays as it is.
+    The ground is a triangulation of the ground points. These are the points of class 2 of IN, or of label 0 in text, or those
+    that --filter finds. With --filter, classes are written, too, as by jaxfilter ground. All points get a height, also noise
+    and water. It is the extra dimension HeightAboveGround, as in PDAL. All else stays as it is.
     """
     from ..files.writing import HEIGHT
     from ..surveys.heights import heights

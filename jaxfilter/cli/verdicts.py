@@ -19,16 +19,16 @@ _RUN = [one for one in RUN_OPTIONS if one.name in ("workers", "memory", "client"
 
 @command(
     IN_OUT,
-    option("--classified classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
+    option("--ground-class classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
     *STATED,
     *_RUN,
 )
 def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], **options: Any) -> Answer:
-    """List the places of classified files where the terrain may be wrong, worst first.
+    """List places where the terrain may be wrong, worst first.
 
-    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs, all with ground classes. OUT
-    is a GeoPackage (.gpkg) or GeoJSON (.geojson). Its column verdict is empty: fill it in, in any GIS, and jaxfilter apply
-    changes the files. jaxfilter ground IN OUT --review places.gpkg finds places better, since OST knows how sure it is.
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. All hold ground classes. OUT
+    is a GeoPackage (.gpkg) or GeoJSON (.geojson). Its column verdict is empty. Fill it in, in any GIS; jaxfilter apply then
+    changes the files. jaxfilter ground IN OUT --review places.gpkg finds such places better, since OST states its doubt.
     """
     from ..files.vectors import VECTOR_SUFFIXES
     from ..reviews.survey import review_survey
@@ -45,22 +45,22 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     click.Argument(["places"], metavar="PLACES", type=INPUT),
     click.Argument(["names"], metavar="SURVEY...", nargs=-1, required=True),
     option("--ground-class", "Class of ground points.", CLASS, default=2),
-    option("--other-class", "Class for points that are no ground any more.", CLASS, default=1),
-    option("--bridge-class bridge", "Class for points of bridges that were ground (ASPRS: 17).", CLASS),
+    option("--other-class", "Class for points that were ground and are not any more.", CLASS, default=1),
+    option("--bridge-class bridge", "Class for points of bridges (ASPRS: 17).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9).", CLASS),
     *(one for one in READING if one.name not in ("bounds", "aoi", "drop_duplicates")),
     *_RUN,
 )
 def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any) -> Answer:
-    """Change classified files by what people have decided at places.
+    """Carry out what people have decided at places.
 
-    PLACES is what --review or jaxfilter review has written, with the column verdict filled in: ground, object, bridge, water or
-    fine. Empty verdicts are passed over. SURVEY are the files that jaxfilter ground has written, .las or .laz, or their folder.
-    They are changed in place, each as a whole or not at all. Files in which no point changes are not touched.
+    PLACES is a file of --review or of jaxfilter review. Its column verdict says ground, object, bridge, water or fine; rows
+    without a verdict are skipped. SURVEY are the .las or .laz files that jaxfilter ground has written, or their folder. These
+    files are changed. A file is replaced as a whole or stays as it is.
 
-    Ground grows again at these places and 4 m around them, from what was said. verdicts.json beside the files lists what was
-    carried out; it is not carried out again. Verdicts that contradict each other, are no verdicts, or lie beside the data are
-    named and left out. Then the exit code is 1.
+    The ground is found again at these places and 4 m around them. verdicts.json beside the files lists the verdicts that were
+    carried out; they are not carried out twice. Verdicts that contradict each other, that are no known word, or that lie
+    outside the data are listed and skipped. Then the exit code is 1.
     """
     from ..files.classes import Classes
     from ..reviews.survey import apply_survey
@@ -71,7 +71,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
         report = apply_survey(places, collection, classes=classes, reading=reading, run=run)
     tell(session, report)
     said = ", ".join(f"{n} {word}" for word, n in report.applied.items()) or "none"
-    text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} were before"
+    text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} earlier"
     changed = f"{count(report.changed, 'point')} in {count(len(report.files), 'file')}"
     text += f"; {changed} changed in {report.elapsed:.1f} s"
     if report.problems:
@@ -81,18 +81,22 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
 
 @command(
     click.Argument(["names"], metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True),
-    option("--checkpoints", "Check points as CSV: x, y, z, and if you like land_cover and vertical_datum.", INPUT),
-    option("--classified ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
+    option(
+        "--checkpoints",
+        "Check points as CSV with columns x, y, z, and optionally land_cover and vertical_datum.",
+        INPUT,
+    ),
+    option("--ground-class ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
     *STATED,
     *_RUN,
 )
 def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None, **options: Any) -> Answer:
-    """State how accurate a terrain model is, on a page for a client, and as JSON.
+    """State how accurate a terrain model is, on a page for a client.
 
-    CLASSIFIED are the files, or their folder, that MODEL, a GeoTIFF of heights, was made of. OUT is a .html file; the JSON has
-    the same name. The page has NVA and VVA of the check points by the ASPRS standards of 2014 and 2023, expected wrong points
-    per km2 by doubt, the area of places where the terrain may be wrong, density of ground points, voids, versions and
-    parameters. Check points in another vertical datum than that of the model are refused.
+    MODEL is a GeoTIFF of heights. CLASSIFIED are the files, or the folder, that it was made of. OUT is a .html file; a JSON file
+    of the same name holds the same figures. The page states NVA and VVA of the check points by the ASPRS standards of 2014 and
+    2023, expected wrong points per km2 by doubt, the area of places where the terrain may be wrong, density of ground points,
+    voids, versions and parameters. Check points must have the vertical datum of the model.
     """
     from ..reports.page import PAGE_SUFFIXES
     from ..reviews.accuracy import accuracy_statement

@@ -58,7 +58,12 @@ class SMRF(GridFilter):
     window: float = static("the last disk has this radius: half a building", "w > 0 m", default=18.0, cells=1000)
     threshold: float = param("ground is at most this far from level terrain", "et >= 0 m", default=0.5)
     scaling: float = param("this times the slope of the terrain is added to the threshold", "es >= 0 m", default=1.25)
-    cut: float = static("a net of this spacing cuts larger buildings; 0 = no net", ">= 0 m", default=0.0, cells=1000)
+    cut: float = static(
+        "a net of lines this far apart cuts buildings that are larger than the window; 0 = no net",
+        ">= 0 m",
+        default=0.0,
+        cells=1000,
+    )
 
     BIBTEX: ClassVar[str] = bibtex("pingel2013improved")
     ORDER_FREE: ClassVar[bool] = True

@@ -265,6 +265,19 @@ def _list_notes(cloud: PointCloud, result: FilterResult, steps: Steps) -> list[s
     return notes
 
 
+_DECIDED = {
+    Decision.SET_ASIDE: "not judged",
+    Decision.SEED: "ground: a seed",
+    Decision.ACCEPTED: "ground: passed all tests",
+    Decision.NOISE_FLOOR: "ground: within the noise",
+    Decision.ANGLE: "non-ground: steep above its facet",
+    Decision.ELEVATION: "non-ground: far above the ground",
+    Decision.LOW: "non-ground: far below the ground",
+    Decision.SURFACE: "non-ground: part of an object",
+}
+"""What the page calls each decision."""
+
+
 def _describe(cloud: PointCloud, result: FilterResult) -> str:
     """A table on the run and the cloud."""
     rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
@@ -272,7 +285,7 @@ def _describe(cloud: PointCloud, result: FilterResult) -> str:
     rows += [("CRS", "unknown" if cloud.crs is None else cloud.crs.name), ("units", str(cloud.units))]
     counts = np.bincount(result.decision, minlength=len(Decision))
     if result.run is not None or counts[1:].any():  # not labels alone
-        rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
+        rows += [(_DECIDED[one], int(counts[one])) for one in Decision if counts[one]]
         rows.append(("ended", result.status.message))
     if result.run is not None:
         rows.append(("seconds", f"{result.run.seconds:.2f}"))

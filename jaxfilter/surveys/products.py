@@ -84,7 +84,7 @@ def products(
 
     names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
-        raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
+        raise ParameterError(f"only={wrong[0]!r}: choose from {', '.join(LAYERS)}")
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     if isinstance(folder, Path) and folder.is_file():

@@ -24,13 +24,13 @@ class Entry(NamedTuple):
 
 
 LAYERS = {
-    "dtm": Entry(".models:Dtm", "a terrain model: ground heights"),
-    "dsm": Entry(".rasters:Dsm", "a surface model without pits: trees, roofs and ground, from the first echoes"),
-    "chm": Entry(".rasters:Chm", "a canopy height model: how high the surface without pits lies above the ground"),
-    "hillshade": Entry(".rasters:Hillshade", "a shaded relief of the terrain model, 1 to 255, as GDAL has it"),
-    "density": Entry(".rasters:Density", "a raster of the number of ground points per square metre"),
-    "count": Entry(".rasters:Count", "a raster of the number of ground points in each cell"),
-    "voids": Entry(".rasters:Voids", "a mask of voids: 1 where no ground point is near the centre of a cell, else 0"),
-    "contours": Entry(".contours:Contours", "contour lines of the terrain model, with their elevation"),
+    "dtm": Entry(".models:Dtm", "a terrain model (DTM)"),
+    "dsm": Entry(".rasters:Dsm", "a surface model (DSM) from the first echoes, without pits"),
+    "chm": Entry(".rasters:Chm", "a canopy height model (CHM): surface less terrain"),
+    "hillshade": Entry(".rasters:Hillshade", "a shaded relief of the terrain, 1 to 255, as GDAL does"),
+    "density": Entry(".rasters:Density", "a raster of ground points per square metre"),
+    "count": Entry(".rasters:Count", "a raster of the number of ground points in a cell"),
+    "voids": Entry(".rasters:Voids", "a mask of voids: 1 where no ground point is near, else 0"),
+    "contours": Entry(".contours:Contours", "contour lines of the terrain, with their elevation"),
 }
 """In the order in which a survey has them."""

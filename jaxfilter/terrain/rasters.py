@@ -59,10 +59,16 @@ class Dsm(Layer):
 
     NAME, TITLE, STYLE = "dsm", "height of the surface", "relief"
     levels: tuple[float, ...] = setting(
-        "Metres above the ground from which echoes make a surface.", (0.0, 2.0, 5.0, 10.0, 15.0)
+        "Height above the ground; the echoes above it make one surface.", (0.0, 2.0, 5.0, 10.0, 15.0)
     )
-    gap: float = setting("Radius of the circle of triangles up to which voids are bridged.", 10.0, metres=True)
-    radius: float | None = setting("The same for levels above 0.  [default: one and a half cells]", None, metres=True)
+    gap: float = setting(
+        "A triangle counts if the circle through its corners has this radius at most; wider voids stay empty.",
+        10.0,
+        metres=True,
+    )
+    radius: float | None = setting(
+        "The same for the levels above 0.  [default: one and a half cells]", None, metres=True
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "levels", tuple(sorted(float(level) for level in self.levels)))

@@ -76,7 +76,7 @@ CLASSES = [
     advanced("GROUND_CLASS", "class", "Class for ground points", "--ground-class {}", 2),
     advanced("OTHER_CLASS", "class", "Class for points that are no ground any more", "--other-class {}", 1),
 ]
-CLASSIFIED = advanced("GROUND_CLASS", "class", "Class of ground points", "--classified {}", 2)
+CLASSIFIED = advanced("GROUND_CLASS", "class", "Class of ground points", "--ground-class {}", 2)
 OUTLINES = Parameter("BREAKLINES", "new places", "Outlines of water bodies, with their level", "--breaklines {}")
 LIMITS = [
     advanced("WORKERS", "count", "Number of processes", "--workers {}"),
@@ -106,7 +106,7 @@ ALGORITHMS = [
         Result("BREAKLINES")]),
     Algorithm("products", "Make terrain products", "products INPUT FOLDER OUTPUT", [
         *CLOUDS, method(words="--filter {} --for-cloud"),
-        Parameter("CLASSIFIED", "switch", "Class 2 of the points is their ground: classify nothing", "--classified 2", False),
+        Parameter("CLASSIFIED", "switch", "The points are classified: class 2 is the ground", "--ground-class 2", False),
         Parameter("ONLY", "list", "Products (none chosen: all)", "--only {}", choices=LAYERS),
         Parameter("CELL", "number", "Side of a cell", "--cell {}", 1.0),
         advanced("CELL_UNITS", "choice", "Units of the side of a cell", "--cell-units {}", "file", choices=["file", "m"]),
