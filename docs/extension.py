@@ -107,6 +107,7 @@ def layers() -> str:
 def commands() -> str:
     """The help of every command, as it is printed."""
     from click.testing import CliRunner
+
     from jaxfilter.cli import main
     from jaxfilter.cli.commands import workflow
 
@@ -121,7 +122,7 @@ def commands() -> str:
 
 
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Pages of methods get pictures of their stages and their figures from the experiments; those on reports, products and commands
+    """Pages of methods get pictures of their stages and figures from the experiments; those on reports, products and commands
     get a report, a table and the help of all commands."""
     if docname == "docs/products":
         source[0] = source[0].replace("<!-- table of layers: docs/extension.py -->\n", layers())
