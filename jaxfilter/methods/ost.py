@@ -243,7 +243,7 @@ class OST(Filter):
     def bar(self, points: Points) -> OstScene:
         """A scene with its low points (step 1)."""
         scene = OstScene(self, points, points.spacing() if self.spacing is None else self.spacing)
-        scene.low = lowest_few(points, float(self.window), LOW_DEPTH, self.low_points)
+        scene.low = lowest_few(points.xyz, float(self.window), LOW_DEPTH, self.low_points)
         scene.plants = scene.veil = np.zeros(len(points), bool)
         for rule in self.active():
             rule.bar(scene)
