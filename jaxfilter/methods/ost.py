@@ -77,7 +77,7 @@ class OST(Filter):
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped.
 
-    ``rules`` change what these steps have found: clusters and pits of low points, voids, halls, steep terrain with overhangs,
+    ``rules`` change what these steps have found: clusters, strays and pits of low points, voids, halls, steep terrain with overhangs,
     embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own (:mod:`jaxfilter.steps.rules`);
     ``rules=()`` is the core alone.
 
