@@ -47,7 +47,7 @@ LOW_TILES = (
     "geo1101_Delft_manual", "3dfier_ahn3_cropped_2", "ign_semis_2023_0292_6833", "lff_2_67", "zf_veluwezoom_ahn3",
     "lidR_Topography",
 )  # fmt: skip
-"""A city, blocks of houses, countryside, a steep, a hilly and a boreal forest: those of experiments/tiles, but for the steep one."""
+"""A city, blocks, countryside, a steep, a hilly and a boreal forest: those of experiments/tiles, but for the steep one."""
 SLOPES = {"hilly": 0.3, "steep": 0.6}
 """Rise over run of the slopes of forests with low outliers."""
 

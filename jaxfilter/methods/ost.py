@@ -77,9 +77,9 @@ class OST(Filter):
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped.
 
-    ``rules`` change what these steps have found: clusters, strays and pits of low points, voids, halls, steep terrain with overhangs,
-    embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own (:mod:`jaxfilter.steps.rules`);
-    ``rules=()`` is the core alone.
+    ``rules`` change what these steps have found: clusters, strays and pits of low points, voids, halls, steep terrain with
+    overhangs, embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own
+    (:mod:`jaxfilter.steps.rules`); ``rules=()`` is the core alone.
 
     Of more than 32 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.

@@ -315,8 +315,8 @@ _STEPS = 8
 
 
 def lowest_few(xyz: np.ndarray, radius: float, depth: float, most: int) -> np.ndarray:
-    """bool[m]: points, f32[m, 3], metres, that are low: only ``most`` others or fewer within ``radius`` metres, in x and y, lie less than ``depth``
-    metres above them or lower, and more than ``most`` lie higher.
+    """bool[m]: points, f32[m, 3], metres, that are low: only ``most`` others or fewer within ``radius`` metres, in x and y, lie
+    less than ``depth`` metres above them or lower, and more than ``most`` lie higher.
 
     These are false echoes from below the ground, alone or in clusters. Ground has ground of its level within the radius of the
     largest building around it, in courtyards and streets too. Small deep pits are low; nothing on a hillside is, which has lower
