@@ -21,16 +21,15 @@ class StraysRule(OstRule):
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE,)
     radius: float = 15.0
-    """Metres around a point in which others count: farther away terrain leaves its trend."""
+    """Metres around a point in which others count: farther away terrain leaves its trend. Cells whose lowest points make the trend
+    have sides of this, and of four spacings at least."""
     depth: float = 1.5
     """Metres: others that are lower than so much above the point are as low."""
     share: float = 0.002
     """So many of the points in a disk of this radius are few. False echoes are one of a thousand, or fewer."""
-    trend: float = 15.0
-    """Metres along the side of the cells whose lowest points make the trend, which are four spacings wide at least."""
 
     def bar(self, scene: OstScene) -> None:
-        points, side = scene.points, max(self.trend, 4 * scene.spacing)
+        points, side = scene.points, max(self.radius, 4 * scene.spacing)
         held = math.pi * (self.radius / scene.spacing) ** 2
         rows, low = np.flatnonzero(~scene.low), scene.low.copy()
         xyz = points.xyz[rows]
