@@ -125,8 +125,8 @@ def test_a_large_cluster_is_low_if_it_is_deep_and_scatters(rng, depth, scatter, 
     assert low_of(jf.OST(rules=()), points).sum() <= 30
 
 
-@pytest.mark.parametrize("plants", [0, 3])
-def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, plants):
+@pytest.mark.parametrize("rule, plants, barred", [("clusters", 0, True), ("clusters", 3, False), ("strays", 3, True)])
+def test_one_deep_point_is_low_beside_lower_ground_by_one_rule_and_under_plants_by_another(rng, rule, plants, barred):
     """Within the radius many points are lower, below the step of a terrace."""
     x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
     z = np.where(x < 50, 0.0, 6.0)
@@ -134,9 +134,24 @@ def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, pla
     above = np.repeat(np.column_stack([x, y, np.full(len(x), 6.0)])[x > 50], plants, axis=0)
     xyz = np.concatenate([np.column_stack([x, y, z]), above + rng.uniform((-0.4, -0.4, 1), (0.4, 0.4, 4), above.shape)])
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    low = points.spread(low_of(jf.OST(spacing=1.0), points), False)
-    np.testing.assert_array_equal(low, (xyz[:, 2] == -1.5) & (plants == 0))
+    low = points.spread(low_of(jf.OST(spacing=1.0, rules=(rule,)), points), False)
+    np.testing.assert_array_equal(low, (xyz[:, 2] == -1.5) & barred)
     assert not low_of(jf.OST(rules=()), points).any()
+
+
+def test_lone_echoes_below_a_wooded_hillside_are_low_and_ground_is_not_in_a_pit_either(rng):
+    """One of twenty points is ground, beside few others; the pit is 3 m deep and 4 m wide. At its border a slope has no trend."""
+    x, y = rng.uniform(0, 100, (2, 40000))
+    ground = 0.6 * x + 2 * np.sin(y / 12)
+    pit, stray = np.hypot(x - 40, y - 60) < 2, (np.arange(len(x)) < 50) & (np.hypot(x - 40, y - 60) > 20)
+    z = ground + np.where(pit, -3, rng.uniform(2, 20, len(x)) * (rng.random(len(x)) < 0.95))
+    z[stray] = (ground - rng.uniform(3, 20, len(x)))[stray]
+    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
+    low = points.spread(low_of(jf.OST(spacing=0.5, rules=("strays",)), points), False)
+    inside = np.abs(x - 50) < 30
+    assert not (low & ~stray)[inside].any()
+    assert low[stray & inside].mean() > 0.9
+    assert low_of(jf.OST(spacing=0.5, rules=()), points).sum() < 0.6 * stray.sum()
 
 
 def test_drawn_elevations_equal_scipy(rng):

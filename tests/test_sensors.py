@@ -117,7 +117,7 @@ def test_wrong_matches_below_the_ground_spoil_nothing():
     low = made.kind == Kind.LOW_OUTLIER
     assert low.sum() > 100
     points = canonical_points(made.cloud)
-    assert points.spread(lowest_few(points, 25.0, 2.0, 30))[low].mean() < 0.5
+    assert points.spread(lowest_few(points.xyz, 25.0, 2.0, 30))[low].mean() < 0.5
     result = jf.default_filter(made.cloud)(made.cloud)
     assert result.ground[low].mean() < 0.1 and result.ground[made.truth].mean() > 0.995
     assert jf.dtm_rmse(made.cloud, result, made.truth).low < 0.1

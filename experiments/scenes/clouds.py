@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 import jaxfilter as jf
 from experiments.defaults import clouds as defaults
@@ -40,6 +41,15 @@ SENSORS = {
 ROOFS = ("flat", "gable", "levels", "sawtooth", "annex")
 WOODED = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.3, forest=0.95, penetration=0.15)
 """A forest on slopes."""
+LOW_SHARE, LOW_DEPTH = 1e-3, (2.0, 30.0)
+"""Low outliers that are added to a tile, in terms of its points, and their depth below the ground, metres."""
+LOW_TILES = (
+    "geo1101_Delft_manual", "3dfier_ahn3_cropped_2", "ign_semis_2023_0292_6833", "lff_2_67", "zf_veluwezoom_ahn3",
+    "lidR_Topography",
+)  # fmt: skip
+"""A city, blocks, countryside, a steep, a hilly and a boreal forest: those of experiments/tiles, but for the steep one."""
+SLOPES = {"hilly": 0.3, "steep": 0.6}
+"""Rise over run of the slopes of forests with low outliers."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,6 +106,12 @@ def every(folder: Path) -> Iterator[Cloud]:
     shares = {"density": (0.05, 0.1, 0.2, 0.5), "share": (5, 10, 20)}
     yield from _each("sparse forests", sparse, ERRORS, **shares, seed=(101, 102))
     yield from _each("sparse forests anew", sparse, SOME, **shares, seed=(201, 202))
+    for name, seed in itertools.product(LOW_TILES, (1, 2, 3)):
+        for path in (folder / "tiles").glob(f"{name}.la[sz]"):
+            yield Cloud("low outliers", f"{name}, seed {seed}", partial(lowered, path, seed), [])
+    yield from _each(
+        "forests with low outliers", lowered_forest, [], slope=SLOPES, density=(1.0, 4.0), seed=(301, 302, 303)
+    )
     yield from _each("water", crossed, WATER, scene=water.SCENES, density=SIZES)
     for path in sorted((folder / "isprs").glob("samp*.txt")):
         yield Cloud("samples", path.stem, partial(real, path), PLACES)
@@ -203,6 +219,33 @@ def sparse(density: float, share: int, seed: int) -> Site:
     left = np.sort(np.concatenate([rng.choice(np.flatnonzero(of), many, replace=False) for of, many in parts]))
     cloud = part_of(made.cloud, left)
     return Site("forest", "sparse forests", cloud, made.truth[left], cloud.candidate)
+
+
+def lowered(path: Path, seed: int) -> Site:
+    """A labelled tile with low outliers at random places, below the triangulation of its ground."""
+    known = labelled("low outliers", path)
+    rng, cloud, truth = np.random.default_rng(seed), known.cloud, known.ground
+    count, at = round(LOW_SHARE * len(cloud)), cloud.coordinates()
+    surface = scipy.interpolate.LinearNDInterpolator(at[truth, :2] - at[0, :2], at[truth, 2])
+    x, y = rng.uniform(*np.percentile(at[truth, :2], (0, 100), axis=0), (4 * count, 2)).T
+    z = surface(x - at[0, 0], y - at[0, 1])
+    below = np.column_stack([x, y, z - rng.uniform(*LOW_DEPTH, len(z))])[np.isfinite(z)][:count]
+    facts = {"return_number": 1, "number_of_returns": 1, "classification": 1, "candidate": True}
+    columns = {
+        name: np.append(values, np.full(len(below), value, values.dtype))
+        for name, value in facts.items()
+        if (values := getattr(cloud, name)) is not None
+    }
+    more = jf.PointCloud.from_arrays(np.concatenate([at, below]), units=cloud.units, **columns)
+    no, yes = np.zeros(len(below), bool), np.ones(len(below), bool)
+    return Site(path.stem, known.group, more, np.append(truth, no), np.append(known.scored, yes))
+
+
+def lowered_forest(slope: str, density: float, seed: int) -> Site:
+    """A forest on slopes, in which one of 1,000 pulses has an echo 2 to 30 m too low."""
+    layout = dataclasses.replace(WOODED, tilt=SLOPES[slope], low_outliers=1e-3)
+    made = jf.scenes.make(layout, size=250.0, density=density, seed=seed, swath=250.0)
+    return Site(slope, "forests with low outliers", made.cloud, made.truth, made.cloud.candidate)
 
 
 def dike(density: float, height: float, width: float, slope: float) -> Site:

@@ -77,9 +77,9 @@ class OST(Filter):
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped.
 
-    ``rules`` change what these steps have found: clusters and pits of low points, voids, halls, steep terrain with overhangs,
-    embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own (:mod:`jaxfilter.steps.rules`);
-    ``rules=()`` is the core alone.
+    ``rules`` change what these steps have found: clusters, strays and pits of low points, voids, halls, steep terrain with
+    overhangs, embankments, crossings (water and bridge decks), plants, ramps. Each is a value of its own
+    (:mod:`jaxfilter.steps.rules`); ``rules=()`` is the core alone.
 
     Of more than 32 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.
@@ -243,7 +243,7 @@ class OST(Filter):
     def bar(self, points: Points) -> OstScene:
         """A scene with its low points (step 1)."""
         scene = OstScene(self, points, points.spacing() if self.spacing is None else self.spacing)
-        scene.low = lowest_few(points, float(self.window), LOW_DEPTH, self.low_points)
+        scene.low = lowest_few(points.xyz, float(self.window), LOW_DEPTH, self.low_points)
         scene.plants = scene.veil = np.zeros(len(points), bool)
         for rule in self.active():
             rule.bar(scene)

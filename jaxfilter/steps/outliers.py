@@ -314,9 +314,9 @@ _STEPS = 8
 """Cells to each side of a point that hold those within the radius of :func:`lowest_few`."""
 
 
-def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.ndarray:
-    """bool[m]: points that are low: only ``most`` others or fewer within ``radius`` metres, in x and y, lie less than ``depth``
-    metres above them or lower, and more than ``most`` lie higher.
+def lowest_few(xyz: np.ndarray, radius: float, depth: float, most: int) -> np.ndarray:
+    """bool[m]: points, f32[m, 3], metres, that are low: only ``most`` others or fewer within ``radius`` metres, in x and y, lie
+    less than ``depth`` metres above them or lower, and more than ``most`` lie higher.
 
     These are false echoes from below the ground, alone or in clusters. Ground has ground of its level within the radius of the
     largest building around it, in courtyards and streets too. Small deep pits are low; nothing on a hillside is, which has lower
@@ -324,13 +324,13 @@ def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.nda
     """
     from ..engines.below import few_below  # imports Numba
 
-    low = np.zeros(len(points), bool)
-    if most > 0 and len(points) > 0:
+    low = np.zeros(len(xyz), bool)
+    if most > 0 and len(xyz) > 0:
         side = radius / _STEPS
-        grid = lattice_over(points.xyz, side)
+        grid = lattice_over(xyz, side)
         grid = dataclasses.replace(grid, nx=grid.nx + 1 + _STEPS)  # what lies beyond a row is not in the next one
-        cells, at = CellSet.of(grid, points.xyz)
-        few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
+        cells, at = CellSet.of(grid, xyz)
+        few_below(low, xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
     return low
 
 

@@ -11,10 +11,12 @@ from .plants import PlantsRule
 from .ramps import RampsRule
 from .scene import OstRule, OstScene
 from .steep import SteepRule
+from .strays import StraysRule
 from .voids import VoidsRule
 
 RULES: dict[str, OstRule] = {
     "clusters": LowClustersRule(),
+    "strays": StraysRule(),
     "pits": PitsRule(),
     "voids": VoidsRule(),
     "halls": HallsRule(),
