@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import scipy
 
-from ..sensors import MATCHING, MOBILE
+from ..sensors import MATCHING, MOBILE, STEEP_LAND
 from ..surfaces import look_up
 from .plants import without_rising
 from .scene import OstRule, OstScene
@@ -15,11 +15,12 @@ from .scene import OstRule, OstScene
 
 @dataclasses.dataclass(frozen=True)
 class RampsRule(OstRule):
-    """Seeds beside an object, or a cell without points, must not rise steeply from others."""
+    """Seeds beside an object, or a cell without points, must not rise steeply from others, unless the landscape is steep."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, MOBILE)
 
     def seed(self, scene: OstScene) -> None:
         """Seeds that rise are dropped."""
         near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen, border_value=1)
-        scene.seeds = without_rising(scene, look_up(scene.points.xyz[scene.seeds], scene.cells, near)[0], 1)
+        suspect = near & (scene.slope < STEEP_LAND)
+        scene.seeds = without_rising(scene, look_up(scene.points.xyz[scene.seeds], scene.cells, suspect)[0], 1)

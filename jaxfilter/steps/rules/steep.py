@@ -10,7 +10,7 @@ import scipy
 
 from ...core.filter import Labels
 from ..objects import EVEN
-from ..sensors import spreads
+from ..sensors import MATCHING, STEEP_LAND, spreads
 from ..surfaces import highest_in, look_up
 from .scene import OstRule, OstScene
 
@@ -23,6 +23,7 @@ class SteepRule(OstRule):
     Half of the cells of a part must have points as all around them do, and half of these be bare; few may be in segments that
     are objects as a whole, and fewer than half of those on its border walls, from which the surface falls farther than it rises
     to the inside (:func:`jaxfilter.engines.grid.shapes.faces`).
+    In photographs walls are ramps: there the landscape around must be steep, too.
     """
 
     roofs: float = 0.1
@@ -48,7 +49,10 @@ class SteepRule(OstRule):
         rock = (
             (2 * known >= cells) & (2 * bare >= known) & (roofs <= self.roofs * cells) & (walls <= self.walls * border)
         )
-        scene.rock = scene.rock | (rock & (cells > 0))[part]
+        found = (rock & (cells > 0))[part]
+        if ost.sensor == MATCHING:
+            found &= scene.slope >= STEEP_LAND
+        scene.rock = scene.rock | found
         scene.back = scene.back | scene.rock
 
     def seed(self, scene: OstScene) -> None:
