@@ -12,9 +12,6 @@ from ..engines.plane_sums import slopes_by_sums
 
 AIRBORNE, DRONE, MATCHING, MOBILE = KINDS = "airborne lidar", "drone lidar", "image matching", "mobile"
 """The kinds of sensors."""
-STEEP_LAND = 0.4
-"""Slope of the landscape, rise over run, from which on steep parts of photographs are faces of rock. On less steep land they are
-walls: matching makes ramps of these."""
 _FEW = 1000
 """Points."""
 _MANY = 1_000_000

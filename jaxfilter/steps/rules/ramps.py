@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import scipy
 
-from ..sensors import MATCHING, MOBILE, STEEP_LAND
+from ..sensors import MATCHING, MOBILE
 from ..surfaces import look_up
 from .plants import without_rising
 from .scene import OstRule, OstScene
@@ -18,9 +18,11 @@ class RampsRule(OstRule):
     """Seeds beside an object, or a cell without points, must not rise steeply from others, unless the landscape is steep."""
 
     SENSORS: ClassVar[tuple[str, ...]] = (MATCHING, MOBILE)
+    land: float = 0.4
+    """Slope of the landscape, rise over run, from which on what rises is a face of rock. What is less steep is a ramp."""
 
     def seed(self, scene: OstScene) -> None:
         """Seeds that rise are dropped."""
         near = scipy.ndimage.binary_dilation(scene.marked | scene.whole | ~scene.seen, border_value=1)
-        suspect = near & (scene.slope < STEEP_LAND)
+        suspect = near & (scene.slope < self.land)
         scene.seeds = without_rising(scene, look_up(scene.points.xyz[scene.seeds], scene.cells, suspect)[0], 1)
