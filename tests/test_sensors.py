@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 import jaxfilter as jf
+from experiments.scenes.clouds import photographed
 from jaxfilter.cli.commands import main
 from jaxfilter.core.points import canonical_points
 from jaxfilter.scenes import SENSORS, Kind, SceneLayout
@@ -190,3 +191,12 @@ def test_ost_is_close_to_the_best_on_clouds_of_other_sensors(sensor, layout):
         total[method] = jf.evaluate(result, made.truth, ignore=~made.cloud.candidate).total
         rmse[method] = jf.dtm_rmse(made.cloud, result, made.truth).rmse
     assert total[jf.OST] < min(total.values()) + 0.3 and rmse[jf.OST] < 1.05 * min(rmse.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene, error, rmse", [("village", 9.0, 0.2), ("quarry", 4.5, 0.55)])
+def test_walls_of_photographs_are_no_rock_on_level_land_and_faces_are_no_ramps_on_steep_land(scene, error, rmse):
+    site = photographed(scene, 21)
+    result = jf.OST.for_cloud(site.cloud)(site.cloud)
+    assert jf.evaluate(result, site.ground).total < error
+    assert jf.dtm_rmse(site.cloud, result, site.ground).rmse < rmse

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.special import ndtr
 
 import jaxfilter as jf
 from experiments.defaults import clouds as defaults
@@ -38,6 +40,18 @@ SENSORS = {
     "mobile": (("town", "city", "hills"), 100.0, 30.0),
 }
 """Layouts of each sensor, metres along a side, and pulses or pixels per m2."""
+VILLAGE = dataclasses.replace(
+    jf.scenes.LAYOUTS["town"], cutting=0.0, houses=3.0, rows=0.3, blocks=0.0, halls=0.0, walls=0.6, low_vegetation=0.2
+)
+PIT = dataclasses.replace(jf.scenes.LAYOUTS["quarry"], low_vegetation=0.05)
+PHOTOGRAPHS = {
+    "town": (jf.scenes.LAYOUTS["town"], (0, 100, 0, 100), 40.0, 400),
+    "village": (VILLAGE, (0, 90, 0, 90), 55.0, 90),
+    "quarry": (PIT, (140, 240, 100, 230), 25.0, 0),
+}
+"""Layout, west, east, south and north border in metres, pixels per m2, and m2 for each hedge, of scenes from photographs."""
+NOISES, BLOCKS, STEEP = (0.03, 0.15), (0.1, 0.3), 0.6
+"""Standard deviations in metres of matching, and of broken rock, from the best to the worst patch; slope of faces and heaps."""
 ROOFS = ("flat", "gable", "levels", "sawtooth", "annex")
 WOODED = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.3, forest=0.95, penetration=0.15)
 """A forest on slopes."""
@@ -99,6 +113,8 @@ def every(folder: Path) -> Iterator[Cloud]:
     sensors = [f"{sensor}, {layout}" for sensor, (layouts, _, _) in SENSORS.items() for layout in layouts]
     yield from _each("sensors", imitated, ERRORS, scene=sensors, seed=(SEED,))
     yield from _each("drawn anew", imitated, ERRORS, scene=sensors, seed=(11, 12))
+    yield from _each("photographs", photographed, ERRORS, scene=PHOTOGRAPHS, seed=(21, 22))
+    yield from _each("photographs anew", photographed, ERRORS, scene=PHOTOGRAPHS, seed=(23,))
     places = ("inside", "edge", "corner")
     yield from _each("halls", hall, ERRORS, density=(1.0, 2.0, 8.0), roof=ROOFS, place=places, seed=(100, 101))
     shapes = {"height": (3.0, 8.0), "width": (3.0, 5.0, 9.0), "slope": (0.5, 0.67, 0.8)}
@@ -155,6 +171,45 @@ def imitated(scene: str, seed: int) -> Site:
     _, side, density = SENSORS[sensor]
     made = jf.scenes.make(layout, size=side, density=density, seed=seed, sensor=sensor)
     return Site(scene, "sensors", made.cloud, made.truth, made.cloud.candidate)
+
+
+def photographed(scene: str, seed: int) -> Site:
+    """One of :data:`PHOTOGRAPHS`. Noise differs from patch to patch, as shade and texture do, and is mostly shared by neighbours.
+    Steep terrain and patches beside it are broken rock. Hedges and bushes are round, and nothing is seen beneath them.
+    """
+    layout, (west, east, south, north), density, area = PHOTOGRAPHS[scene]
+    made = jf.scenes.make(layout, size=(east, north), density=density, seed=seed, noise=0.0, sensor="image matching")
+    at = made.xyz[:, :2] - made.origin[:2]
+    left = np.flatnonzero((at >= (west, south)).all(axis=1))
+    (x, y), ground, rng = at[left].T, made.truth[left], np.random.default_rng(seed)
+
+    def field(metres: float, cell: float = 0.25) -> np.ndarray:
+        """f64[n]: normal noise that is alike within this distance."""
+        values = gaussian_filter(rng.standard_normal((round(east / cell) + 2, round(north / cell) + 2)), metres / cell)
+        return map_coordinates(values / values.std(), (x / cell, y / cell), order=1)
+
+    def between(least: float, most: float) -> np.ndarray:
+        """f64[n]: from the least to the most, by patches."""
+        return least * (most / least) ** ndtr(field(5.0))
+
+    noise = between(*NOISES)
+    z = noise * (0.9 * field(0.6) + 0.43 * rng.standard_normal(len(x)))
+    if not area:
+        rises = [made.terrain(*(made.xyz[left, :2] + step).T) for step in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        steep = np.hypot(rises[0] - rises[1], rises[2] - rises[3]) / 2 + 0.3 * field(4.0)
+        z += np.clip(2 * (steep / STEEP - 0.5), 0, 1) * between(*BLOCKS) * (0.8 * field(0.5) + 0.6 * field(1.5))
+    hedge = np.zeros(len(x))
+    for _ in range(round((east - west) * (north - south) / area) if area else 0):
+        (cx, cy), turn = rng.uniform((west, south), (east, north)), rng.integers(2) * np.pi / 2 + 0.3
+        half, width, height = rng.integers(2) * rng.uniform(3, 10), rng.uniform(0.5, 1.5), rng.uniform(0.5, 2.0)
+        along = np.abs((x - cx) * np.cos(turn) + (y - cy) * np.sin(turn))
+        away = np.hypot(np.maximum(along - half, 0), (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)) / width
+        hedge = np.maximum(hedge, height * np.exp(-(away**4)) * (1 + 0.15 * field(0.5)))
+    hedge = np.where(ground & (hedge > 0.01), hedge, 0)
+    xyz = made.xyz[left] + np.column_stack([0 * x, 0 * x, z + hedge])
+    truth = ground & (hedge < 0.15)
+    cloud = jf.PointCloud.from_arrays(xyz.round(2), reference=truth)
+    return Site(scene, "photographs", cloud, truth, cloud.candidate)
 
 
 def real(path: Path, anchor: tuple[float, float] = (0.0, 0.0)) -> Site:

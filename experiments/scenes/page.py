@@ -19,7 +19,7 @@ SINGLE = {
 """What is shown of single clouds of some kinds."""
 TABLES: dict[str, tuple[str, list[str], list[str]]] = {
     **dict.fromkeys(("hard tiles", "scenes", "sensors", "drawn anew"), ("cloud", ["method"], [*SINGLE])),
-    "layouts": ("cloud", ["method"], ["total", "rmse"]),
+    **dict.fromkeys(("layouts", "photographs", "photographs anew"), ("cloud", ["method"], ["total", "rmse"])),
     **dict.fromkeys(("sparse forests", "sparse forests anew"), ("method", ["density", "share"], ["total", "rmse"])),
 }
 """By kind of cloud what has a row, what has a column, and which of :data:`SINGLE` is shown."""

@@ -10,7 +10,7 @@ import scipy
 
 from ...core.filter import Labels
 from ..objects import EVEN
-from ..sensors import spreads
+from ..sensors import MATCHING, spreads
 from ..surfaces import highest_in, look_up
 from .scene import OstRule, OstScene
 
@@ -23,6 +23,8 @@ class SteepRule(OstRule):
     Half of the cells of a part must have points as all around them do, and half of these be bare; few may be in segments that
     are objects as a whole, and fewer than half of those on its border walls, from which the surface falls farther than it rises
     to the inside (:func:`jaxfilter.engines.grid.shapes.faces`).
+
+    In photographs walls are ramps, so the landscape must be steep, too.
     """
 
     roofs: float = 0.1
@@ -31,6 +33,9 @@ class SteepRule(OstRule):
     """Share of those on its border that may be walls."""
     sheet: float = 1.5
     """Standard deviation at most that points of rock lie from their plane in a cell, in ``roof_step``. Leaves scatter by more."""
+    land: float = 0.2
+    """Slope of the landscape, rise over run, from which on such parts are rock in photographs. On less steep land they are roofs,
+    whose walls are ramps."""
 
     def fill(self, scene: OstScene) -> None:
         """The highest point of each cell: rock is bare where it is little higher than the lowest."""
@@ -48,7 +53,10 @@ class SteepRule(OstRule):
         rock = (
             (2 * known >= cells) & (2 * bare >= known) & (roofs <= self.roofs * cells) & (walls <= self.walls * border)
         )
-        scene.rock = scene.rock | (rock & (cells > 0))[part]
+        found = (rock & (cells > 0))[part]
+        if ost.sensor == MATCHING:
+            found &= scene.slope >= self.land
+        scene.rock = scene.rock | found
         scene.back = scene.back | scene.rock
 
     def seed(self, scene: OstScene) -> None:
