@@ -21,8 +21,8 @@ class StraysRule(OstRule):
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE,)
     radius: float = 15.0
-    """Metres around a point in which others count: farther away terrain leaves its trend. Cells whose lowest points make the trend
-    have sides of this, and of four spacings at least."""
+    """Metres around a point in which others count: farther away terrain leaves its trend. The cells whose lowest points make the
+    trend have sides of this, and of four spacings at least."""
     depth: float = 1.5
     """Metres: others that are lower than so much above the point are as low."""
     share: float = 0.002
