@@ -11,7 +11,7 @@ from commands import facts, run
 
 import jaxfilter as jf
 from jaxfilter.core.errors import InputError, OutputError, ParameterError
-from jaxfilter.steps.doubt import DOUBT_MODEL, FEATURES, probability
+from jaxfilter.steps.doubt import FEATURES, WEIGHTS, probability
 
 EPSG = 25832
 
@@ -55,7 +55,7 @@ def test_errors_are_where_doubt_is(scene, result):
 
 def test_the_model_is_a_logistic_function_up_to_a_half_for_each_label(rng):
     values, ground = rng.normal(size=(50, len(FEATURES))).astype(np.float32), rng.random(50) < 0.5
-    total = DOUBT_MODEL[:, :1] + DOUBT_MODEL[:, 1:] @ values.T.astype(float)
+    total = WEIGHTS[:, :1] + WEIGHTS[:, 1:] @ values.T.astype(float)
     expected = np.minimum(1 / (1 + np.exp(-np.where(ground, total[1], total[0]))), 0.5)
     np.testing.assert_allclose(probability(values, ground), expected, atol=1e-5)
 
