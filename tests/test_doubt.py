@@ -69,10 +69,10 @@ def test_degenerate_clouds_have_doubt_without_numbers():
 
 
 def test_places_join_cells_that_touch_and_come_largest_volume_first():
-    doubt = np.full((30, 30), 0.001)
+    doubt = np.full((30, 100), 0.001)
     doubt[4:10, 4:10] = 0.5
-    doubt[20:26, 20:28] = 0.5
-    doubt[26:29, 28:30] = 0.5  # touches the block before at a corner
+    doubt[20:26, 80:88] = 0.5
+    doubt[26:29, 88:90] = 0.5  # touches the block before at a corner
     doubt[4, 25] = 0.5  # too small for a place
     cloud, result = synthetic(doubt)
     table = jf.review(cloud, result)
@@ -81,7 +81,7 @@ def test_places_join_cells_that_touch_and_come_largest_volume_first():
     assert list(table["area"]) == [round(shape.area, 3) for shape in table.geometry]
     corner = np.array([500_000.0, 4_800_000.0])
     boxes = [np.array(shape.bounds) - np.tile(corner, 2) for shape in table.geometry]
-    for box, (x0, y0, x1, y1) in zip(boxes, ((42, 42, 56, 54), (8, 8, 20, 20)), strict=True):
+    for box, (x0, y0, x1, y1) in zip(boxes, ((162, 42, 174, 50), (8, 8, 20, 20)), strict=True):
         assert (box[:2] <= (x0, y0)).all() and (box[2:] >= (x1, y1)).all() and (box[2:] - box[:2] <= 24).all()
     xy = np.array(table[["x", "y"]])
     np.testing.assert_array_equal(np.floor((xy - corner) / 2) * 2 + 1, xy - corner)
