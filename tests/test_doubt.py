@@ -1,6 +1,7 @@
 """Doubt: where it is stated, what it is worth on scenes, how it is written, drawn and turned into a list of places."""
 
 import dataclasses
+import warnings
 
 import geopandas
 import laspy
@@ -40,6 +41,7 @@ def test_every_judged_point_has_a_probability_and_no_other(scene, result):
     cloud, _ = scene
     assert result.doubt.dtype == np.float32 and np.array_equal(np.isnan(result.doubt), ~cloud.candidate)
     judged = result.doubt[cloud.candidate]
+    assert "doubt" not in result.info
     assert judged.min() >= 0 and judged.max() == 0.5
     assert (result.decision[~result.ground & cloud.candidate] > jf.Decision.ACCEPTED).all()
 
@@ -58,6 +60,17 @@ def test_the_model_is_a_logistic_function_up_to_a_half_for_each_label(rng):
     total = WEIGHTS[:, :1] + WEIGHTS[:, 1:] @ values.T.astype(float)
     expected = np.minimum(1 / (1 + np.exp(-np.where(ground, total[1], total[0]))), 0.5)
     np.testing.assert_allclose(probability(values, ground), expected, atol=1e-5)
+
+
+def test_where_points_are_too_few_doubt_says_that_it_does_not_hold(tmp_path):
+    made = jf.scenes.make("hills", size=(300.0, 300.0), density=0.1, seed=5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = jf.OST.for_cloud(made.cloud)(made.cloud)
+        jf.write(tmp_path / "plain.las", made.cloud, result)
+    assert "does not hold" in result.info["doubt"]
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than 0.2 points per m2"):
+        jf.write(tmp_path / "doubt.las", made.cloud, result, extra=("doubt",))
 
 
 def test_degenerate_clouds_have_doubt_without_numbers():

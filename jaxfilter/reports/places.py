@@ -287,8 +287,8 @@ class Place(NamedTuple):
 def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
     """The places of the parts of a cloud, largest volume first, and after them the areas of which nothing can be said.
 
-    Cells that touch, at a corner too, count from :data:`LEAST_AREA` on. Those of one square of :data:`VIEW` cells, and with one
-    reason, are a place. Of these the largest are listed, :data:`MOST` per square kilometre. ``metre``: per unit.
+    Cells that touch, at a corner too, are a part if they have :data:`LEAST_AREA`; squares of :data:`SQUARE` cells cut what is
+    wider. Parts that one view shows are a place. The largest are listed, :data:`MOST` per square kilometre. ``metre``: per unit.
     """
     found = np.concatenate([part.cells for part in parts]) if parts else np.zeros(0, SUSPECT)
     found = found[np.lexsort(found["cell"].T)]
@@ -378,10 +378,11 @@ def review(
 ) -> geopandas.GeoDataFrame:
     """Places where the terrain model may be off by more than half a metre, the largest expected error volume first.
 
-    Cells of 2 m whose chance of such an error is 6 % or more are named; those that touch are one place, from 40 m2 on. The
-    chance follows from the mean doubt of the points, the share of ground among them, the density of ground points, and the
-    slope of the terrain. Objects that are labelled ground and that the outline of the data cuts are named as well
-    (docs/doubt.md).
+    Cells of 2 m whose chance of such an error is 4 % or more are named. Those that touch count from 40 m2 on; what lies close
+    together is one place of 2,500 m2 at most, and at most 60 places per km2 are listed, or three. The chance follows from the
+    mean doubt of the points, the share of ground among them, the density of ground points, and the slope of the terrain. Objects
+    that are labelled ground and that the outline of the data cuts are named as well. Where half of a larger area is named, it is
+    one entry at the end: nothing can be said of this area (docs/doubt.md).
 
     Args:
         cloud: what was classified, n points, a PointCloud or a ``laspy.LasData``.

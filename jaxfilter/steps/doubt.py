@@ -64,6 +64,7 @@ def mixture(xyz: np.ndarray, cells: Cells, labels: Labels, spacing: float, toler
     """f32[m]: how mixed the labels around points f32[m, 3] are, of those that are about as high as the ground: 0 where all are
     the same, 1 where half of them are ground. ``spacing`` and ``tolerance``: metres."""
     at, shape = cells.grid.flat(xyz), cells.grid.shape
+    assert labels.height is not None
     near = np.abs(labels.height) < _LEVEL * max(tolerance, 0.01)
     wide = 2 * round(_AROUND * max(1.0, spacing) / cells.grid.cell / 2) + 1
     count, ground = (np.bincount(at[rows], minlength=shape[0] * shape[1]) for rows in (near, near & labels.ground))

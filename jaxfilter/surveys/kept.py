@@ -39,8 +39,8 @@ def suspects_in(
     if reading.bounds is not None:
         boxes = [common(box, reading.bounds) for box in boxes]
     try:
-        seen = {"footprints": boxes, "window": tile.window, "core": tile.core}
-        found = find_suspects(around.cloud, result, **seen, inside=partial(within, reading.aoi))
+        inside = partial(within, reading.aoi)
+        found = find_suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core, inside=inside)
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
         found = Suspects(np.zeros(0, SUSPECT), 0.0)
