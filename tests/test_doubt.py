@@ -1,6 +1,7 @@
 """Doubt: where it is stated, what it is worth on scenes, how it is written, drawn and turned into a list of places."""
 
 import dataclasses
+import warnings
 
 import geopandas
 import laspy
@@ -11,7 +12,7 @@ from commands import facts, run
 
 import jaxfilter as jf
 from jaxfilter.core.errors import InputError, OutputError, ParameterError
-from jaxfilter.steps.doubt import DOUBT_MODEL, FEATURES, probability
+from jaxfilter.steps.doubt import FEATURES, WEIGHTS, probability
 
 EPSG = 25832
 
@@ -40,6 +41,7 @@ def test_every_judged_point_has_a_probability_and_no_other(scene, result):
     cloud, _ = scene
     assert result.doubt.dtype == np.float32 and np.array_equal(np.isnan(result.doubt), ~cloud.candidate)
     judged = result.doubt[cloud.candidate]
+    assert "doubt" not in result.info
     assert judged.min() >= 0 and judged.max() == 0.5
     assert (result.decision[~result.ground & cloud.candidate] > jf.Decision.ACCEPTED).all()
 
@@ -55,9 +57,20 @@ def test_errors_are_where_doubt_is(scene, result):
 
 def test_the_model_is_a_logistic_function_up_to_a_half_for_each_label(rng):
     values, ground = rng.normal(size=(50, len(FEATURES))).astype(np.float32), rng.random(50) < 0.5
-    total = DOUBT_MODEL[:, :1] + DOUBT_MODEL[:, 1:] @ values.T.astype(float)
+    total = WEIGHTS[:, :1] + WEIGHTS[:, 1:] @ values.T.astype(float)
     expected = np.minimum(1 / (1 + np.exp(-np.where(ground, total[1], total[0]))), 0.5)
     np.testing.assert_allclose(probability(values, ground), expected, atol=1e-5)
+
+
+def test_where_points_are_too_few_doubt_says_that_it_does_not_hold(tmp_path):
+    made = jf.scenes.make("hills", size=(300.0, 300.0), density=0.1, seed=5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = jf.OST.for_cloud(made.cloud)(made.cloud)
+        jf.write(tmp_path / "plain.las", made.cloud, result)
+    assert "does not hold" in result.info["doubt"]
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than 0.2 points per m2"):
+        jf.write(tmp_path / "doubt.las", made.cloud, result, extra=("doubt",))
 
 
 def test_degenerate_clouds_have_doubt_without_numbers():
@@ -69,10 +82,10 @@ def test_degenerate_clouds_have_doubt_without_numbers():
 
 
 def test_places_join_cells_that_touch_and_come_largest_volume_first():
-    doubt = np.full((30, 30), 0.001)
+    doubt = np.full((30, 100), 0.001)
     doubt[4:10, 4:10] = 0.5
-    doubt[20:26, 20:28] = 0.5
-    doubt[26:29, 28:30] = 0.5  # touches the block before at a corner
+    doubt[20:26, 80:88] = 0.5
+    doubt[26:29, 88:90] = 0.5  # touches the block before at a corner
     doubt[4, 25] = 0.5  # too small for a place
     cloud, result = synthetic(doubt)
     table = jf.review(cloud, result)
@@ -81,7 +94,7 @@ def test_places_join_cells_that_touch_and_come_largest_volume_first():
     assert list(table["area"]) == [round(shape.area, 3) for shape in table.geometry]
     corner = np.array([500_000.0, 4_800_000.0])
     boxes = [np.array(shape.bounds) - np.tile(corner, 2) for shape in table.geometry]
-    for box, (x0, y0, x1, y1) in zip(boxes, ((42, 42, 56, 54), (8, 8, 20, 20)), strict=True):
+    for box, (x0, y0, x1, y1) in zip(boxes, ((162, 42, 174, 50), (8, 8, 20, 20)), strict=True):
         assert (box[:2] <= (x0, y0)).all() and (box[2:] >= (x1, y1)).all() and (box[2:] - box[:2] <= 24).all()
     xy = np.array(table[["x", "y"]])
     np.testing.assert_array_equal(np.floor((xy - corner) / 2) * 2 + 1, xy - corner)

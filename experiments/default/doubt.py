@@ -1,14 +1,16 @@
 """Trains the model of doubt, and says what it is worth: ``python -m experiments.default.doubt [--data FOLDER] [--write]``.
 
-The model is fitted to simulated scenes and labelled tiles. The ISPRS samples are a test; so is every source of tiles, by a
-model that was fitted without it, and every layout of scenes likewise. ``--write`` puts the weights into the package.
+The model is fitted to simulated scenes and labelled tiles. Every source of tiles is a test by a model that was fitted without
+it, and every layout of scenes likewise. All other clouds are tests only. ``--write`` puts the weights into the package.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from unittest import mock
 
@@ -21,7 +23,10 @@ from experiments.default.search import every_cloud
 from experiments.defaults import clouds
 from experiments.isprs.samples import data_folder
 from experiments.report import write_csv, write_page
-from jaxfilter.steps import doubt, doubt_model
+from experiments.scenes import clouds as others
+from jaxfilter.core.compilation import keep_compilations
+from jaxfilter.steps import doubt
+from jaxfilter.steps.sensors import MATCHING
 from jaxfilter.sweeps.comparison import markdown
 
 HERE = Path(__file__).parent
@@ -38,25 +43,29 @@ BINS = 15
 MOST = 0.1
 
 
+TRAINED = ("tiles", "scenes")
+"""Kinds of clouds that models are fitted to; each is scored by a model that has not seen its group."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Judged:
-    """The judged and scored points of a cloud: evidence f32[n, features], labels and errors bool[n], doubt f32[n].
+    """The judged and scored points of a cloud: evidence f32[n, features], labels and errors bool[n].
 
-    ``rows``: i64[n], their places in the cloud. ``unnamed``: see :func:`unnamed`.
+    ``group``: the source of a tile, or the layout of a scene. ``unnamed``: see :func:`unnamed`.
     """
 
-    known: clouds.Known
     kind: str
+    name: str
+    group: str
     evidence: np.ndarray
     ground: np.ndarray
     wrong: np.ndarray
-    rows: np.ndarray
     unnamed: float
 
     @property
     def trains(self) -> bool:
         """Whether a model may be fitted to it."""
-        return self.kind != "samples" and self.unnamed <= THINNED
+        return self.kind in TRAINED and self.unnamed <= THINNED
 
 
 def unnamed(known: clouds.Known) -> float:
@@ -66,8 +75,10 @@ def unnamed(known: clouds.Known) -> float:
     return float((~known.ground[near]).mean())
 
 
-def judged(known: clouds.Known) -> Judged:
+def judged(kind: str, known: clouds.Known) -> Judged:
     """What OST decides on a cloud, and the evidence that it has for it."""
+    keep_compilations()
+    warnings.simplefilter("ignore", jf.JaxfilterWarning)
     kept: list[np.ndarray] = []
     probability = doubt.probability
 
@@ -77,33 +88,44 @@ def judged(known: clouds.Known) -> Judged:
 
     method = jf.OST.for_cloud(known.cloud)
     with mock.patch.object(doubt, "probability", keep):
-        result = method(known.cloud)
+        result = method(known.cloud, workers=1)
     points = method.points_of(known.cloud)
     row = np.full(len(known.cloud), -1)
     row[points.index] = points.member
     rows = np.flatnonzero((row >= 0) & known.scored)
-    ground = result.ground[rows]
-    kind = {"sit": "samples", "sou": "tiles"}.get(known.group[:3], "scenes")
-    return Judged(
-        known, kind, np.concatenate(kept)[row[rows]], ground, ground != known.ground[rows], rows, unnamed(known)
-    )
+    ground, group = result.ground[rows], known.name if kind == "scenes" else known.group
+    wrong, thin = ground != known.ground[rows], unnamed(known) if kind == "tiles" else 0.0
+    return Judged(kind, known.name, group, np.concatenate(kept)[row[rows]], ground, wrong, thin)
 
 
-def every(folder: Path) -> Iterator[Judged]:
-    """The clouds of the search, and scenes of further densities."""
+def every(folder: Path) -> Iterator[tuple[str, clouds.Known]]:
+    """The clouds of the search, scenes of further densities, and clouds that are tests only, with their kinds."""
     for known in every_cloud(folder):
-        yield judged(known)
+        yield {"sit": "samples", "sou": "tiles"}.get(known.group[:3], "scenes"), known
     for density in DENSITIES:
         for layout in clouds.LAYOUTS:
             scene = clouds.load(f"{density:g} per m2", layout, density, folder)
             assert scene is not None
-            yield judged(dataclasses.replace(scene, name=f"scene {layout}", group="scenes"))
+            yield "scenes", dataclasses.replace(scene, name=f"scene {layout}")
+    for cloud in others.every(folder):
+        hard = cloud.kind == "scenes" and cloud.name.rpartition(" ")[0] in others.HARD
+        if not hard and cloud.kind not in ("hard tiles", "sensors", "sparse forests"):
+            continue
+        site, kind = cloud.make(), "hard scenes" if hard else cloud.kind
+        if kind == "sensors":
+            matching = jf.OST.for_cloud(site.cloud).sensor == MATCHING
+            kind = "photographs" if matching else "other lidar"
+        if kind == "sparse forests":
+            few = cloud.facts["density"] < doubt.SPARSEST
+            kind += f", {'fewer' if few else 'more'} than {doubt.SPARSEST:g} points per m2"
+        if site.ground.any():
+            yield kind, clouds.Known(cloud.name, kind, site.cloud, site.ground, site.scored)
 
 
 def fitted(parts: Iterable[Judged]) -> np.ndarray:
     """f64[2, 1 + features]: weights for objects and for ground, by maximum likelihood with a small ridge."""
     rng = np.random.default_rng(0)
-    chosen = [(one, rng.choice(len(one.rows), min(PER_CLOUD, len(one.rows)), replace=False)) for one in parts]
+    chosen = [(one, rng.choice(len(one.wrong), min(PER_CLOUD, len(one.wrong)), replace=False)) for one in parts]
     x = np.concatenate([one.evidence[rows] for one, rows in chosen]).astype(np.float64)
     y = np.concatenate([one.wrong[rows] for one, rows in chosen]).astype(np.float64)
     ground = np.concatenate([one.ground[rows] for one, rows in chosen])
@@ -137,7 +159,7 @@ def _logistic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def stated(one: Judged, weights: np.ndarray) -> np.ndarray:
     """f32[n]: the doubt of a model with these weights."""
-    with mock.patch.object(doubt, "DOUBT_MODEL", weights):
+    with mock.patch.object(doubt, "WEIGHTS", weights):
         return doubt.probability(one.evidence, one.ground)
 
 
@@ -161,12 +183,10 @@ def reliability(p: np.ndarray, wrong: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def left_out(parts: Sequence[Judged]) -> list[tuple[Judged, np.ndarray]]:
     """Each cloud with the doubt by a model that has not seen its source of tiles, or its layout."""
-    groups = {one.known.name if one.kind == "scenes" else one.known.group for one in parts}
     out = []
-    for group in sorted(groups):
-        mine = [one for one in parts if group in (one.known.name, one.known.group)]
-        weights = fitted(one for one in parts if one.trains and one not in mine)
-        out += [(one, stated(one, weights)) for one in mine]
+    for group in sorted({one.group for one in parts}):
+        weights = fitted(one for one in parts if one.trains and one.group != group)
+        out += [(one, stated(one, weights)) for one in parts if one.group == group]
     return out
 
 
@@ -186,48 +206,28 @@ def picture(tests: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None
     figure.savefig(path)
 
 
-def module(weights: np.ndarray) -> str:
-    """The text of :mod:`jaxfilter.steps.doubt_model`."""
-    lines = "".join(
-        f"        [{', '.join(f'{v:.4f}' for v in row)}],  # {name}\n"
-        for row, name in zip(weights, ("not ground", "ground"), strict=True)
-    )
-    docstring = (doubt_model.__doc__ or "").strip()
-    return f'"""{docstring}"""\n\nimport numpy as np\n\nMODEL = np.array(\n    [\n{lines}    ]\n)\n' + (
-        '"""f64[2, 1 + features]: constant and weights, for points that are not ground and for ground."""\n'
-    )
-
-
 def main() -> None:
     """Fit, test, and write tables, the diagram and, if asked, the weights."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
     parser.add_argument("--write", action="store_true", help="put the weights into the package")
     arguments = parser.parse_args()
-    parts = []
-    for one in every(data_folder(arguments.data)):
-        print(
-            one.known.name,
-            len(one.rows),
-            f"{100 * one.wrong.mean():.2f} % wrong, {100 * one.unnamed:.1f} % on the ground not named",
-            "" if one.trains else "not trained on",
-            flush=True,
-        )
-        parts.append(one)
+    with ProcessPoolExecutor() as pool:
+        jobs = [pool.submit(judged, *one) for one in every(data_folder(arguments.data))]
+        parts = [job.result() for job in jobs]
     weights = np.round(fitted(one for one in parts if one.trains), 4)
-    apart = left_out([one for one in parts if one.kind != "samples"])
-    samples = [(one, stated(one, weights)) for one in parts if one.kind == "samples"]
-    pooled = {"ISPRS samples": samples}
-    for kind in ("tiles", "scenes"):
-        pooled[f"{kind}, left out"] = [(one, p) for one, p in apart if one.kind == kind]
+    stated_of = [(one, stated(one, weights)) for one in parts if one.kind not in TRAINED]
+    stated_of += left_out([one for one in parts if one.kind in TRAINED])
+    kinds = dict.fromkeys(one.kind for one in parts)
     tests = {
-        name: (np.concatenate([p for _, p in some]), np.concatenate([one.wrong for one, _ in some]))
-        for name, some in pooled.items()
+        f"{kind}, left out" if kind in TRAINED else kind: tuple(
+            np.concatenate(columns)
+            for columns in zip(*((p, one.wrong) for one, p in stated_of if one.kind == kind), strict=True)
+        )
+        for kind in kinds
     }
     rows = [{"what": name, **figures(p, wrong)} for name, (p, wrong) in tests.items()]
-    each = [
-        {"what": one.known.name, **figures(p, one.wrong), "unnamed": 100 * one.unnamed} for one, p in samples + apart
-    ]
+    each = [{"what": one.name, **figures(p, one.wrong), "unnamed": 100 * one.unnamed} for one, p in stated_of]
     results = HERE / "results"
     results.mkdir(exist_ok=True)
     write_csv(results / "doubt.csv", rows + each)
@@ -239,10 +239,12 @@ def main() -> None:
     detail = markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
     command = "python -m experiments.default.doubt" + " --write" * arguments.write
     write_page(results / "doubt.md", f"# What doubts are worth\n\n{table}\n\n{detail}", command, ("ost", "scenes"))
-    picture(tests, results / "doubt.png")
+    picture(dict(list(tests.items())[:3]), results / "doubt.png")
     print(table)
     if arguments.write:
-        Path(doubt_model.__file__).write_text(module(weights))
+        values = ([name, *row] for name, row in zip(("object", "ground"), weights.tolist(), strict=True))
+        lines = [["label", "constant", *doubt.FEATURES], *values]
+        doubt.MODEL.write_text("".join(",".join(map(str, line)) + "\n" for line in lines))
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def places(site: Site, method: str, result: jf.FilterResult) -> list[Row]:
     """What the named places of a cloud hold: square metres that are off, and named; places; cubic metres. A place is right if
     some cell of 1 m in it is off by more than half a metre; those without a cell near reference ground are not judged."""
     cloud, side = site.cloud, named.SIDE / site.cloud.units.xy
-    listed = named.places_of(named.find_suspects(cloud, result), cloud.units.xy)
+    listed = named.places_of([named.find_suspects(cloud, result)], cloud.units.xy)
     found = differences(cloud, result, site.ground, 1.0 / cloud.units.xy, FILLED, near=NEAR, rim=RIM)
     row, column = np.nonzero(np.isfinite(found.metres))
     size, grid = np.abs(found.metres[row, column]), found.grid

@@ -62,7 +62,9 @@ def report_text(report: dict[str, Any]) -> str:
     if report["tiles"] > 1:
         lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report.get("review"):
-        volume = sum(place["volume"] for place in report["places"])
+        from ..reports.places import UNKNOWN_AREA  # late: it brings SciPy's image functions
+
+        volume = sum(place["volume"] for place in report["places"] if place["reason"] != UNKNOWN_AREA)
         places = count(len(report["places"]), "place")
         lines.append(f"{report['review']}: {places}, {volume:,.0f} m3 of errors to expect")
     if report.get("breaklines"):
@@ -86,12 +88,19 @@ def tell(session: Session, report: RunReport) -> None:
     """Lines on the steps of a run, on what it warned of, and on what it could not do."""
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
-    if places := report.places:
+    unknown = []
+    if report.places:
+        from ..reports.places import UNKNOWN_AREA  # late: it brings SciPy's image functions
+
+        unknown = [place["area"] for place in report.places if place["reason"] == UNKNOWN_AREA]
+    if places := report.places[: len(report.places) - len(unknown)]:
         top = places[:_PLACES_LISTED]
         listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})" for one in top]
         more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
+    if unknown:
+        session.note(f"{UNKNOWN_AREA}: {sum(unknown):,.0f} m2 in {count(len(unknown), 'place')}")
     for remark, times in report.remarks.items():
         session.warn(remark, times)
     for one in report.set_aside:

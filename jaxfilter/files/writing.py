@@ -148,6 +148,8 @@ def _quantities(result: FilterResult | np.ndarray | None, names: tuple[str, ...]
     found = {name: getattr(result, name) for name in names}
     if absent := [name for name, values in found.items() if values is None]:
         raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
+    if "doubt" in found and isinstance(result, FilterResult) and "doubt" in result.info:
+        warn(result.info["doubt"])
     return found
 
 

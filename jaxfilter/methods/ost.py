@@ -23,7 +23,7 @@ from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_e
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
 from ..steps.crowd import Crowd
-from ..steps.doubt import doubts
+from ..steps.doubt import SPARSE, SPARSEST, doubts, mixture
 from ..steps.ground_rules import STEEPEST, AngleRule, HeightRule
 from ..steps.landscape import landscape_slope
 from ..steps.objects import Parts
@@ -223,7 +223,7 @@ class OST(Filter):
         limit = self.judge(scene, rules)
         progress(0.4, "seeds")
         self.seed(scene, rules)
-        labels, scatter = self.grow(scene, crowd, rules, workers, progress)
+        labels, residual = self.grow(scene, crowd, rules, workers, progress)
         seeds = scene.seeds
         if crowd is not None:
             scene.points, scene.never, seeds = points, scene.never[crowd.own], crowd.rows[seeds]
@@ -232,7 +232,11 @@ class OST(Filter):
         look = scene.objects, scene.steepest / limit, scene.slope
         in_object, drop, slope = look_up(points.xyz, scene.cells, *look)
         if points.kept is None:  # a sweep asks for no more than what is ground
-            labels.doubt = doubts(labels, scatter, drop, slope, self.tolerated(scene.spacing))
+            tolerance = self.tolerated(scene.spacing)
+            mixed = mixture(points.xyz, scene.cells, labels, scene.spacing, tolerance)
+            labels.doubt = doubts(labels, residual, drop, slope, mixed, tolerance)
+            if SPARSEST * scene.spacing**2 > 1:
+                labels.info["doubt"] = SPARSE
         other = np.where(in_object, np.uint8(Decision.SURFACE), np.uint8(Decision.ELEVATION))
         labels.decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), other)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
@@ -346,7 +350,7 @@ class OST(Filter):
 
     def grow(
         self, scene: OstScene, crowd: Crowd | None, rules: list[OstRule], workers: int | None, progress: Progress
-    ) -> tuple[Labels, Scatter]:
+    ) -> tuple[Labels, np.ndarray]:
         """Ground grows from the seeds, and vertices that stick out are dropped (steps 6 to 8)."""
         points, slope = scene.points, look_up(scene.points.xyz, scene.cells, scene.slope)[0]
         limits = self.limits(scene.spacing, slope)
@@ -366,8 +370,8 @@ class OST(Filter):
 
     def pruned(
         self, scene: OstScene, ground: GroundTin, crowd: Crowd | None, rules: list[OstRule]
-    ) -> tuple[Labels, Scatter]:
-        """Vertices that stick out are dropped (step 8); the labels of all points, and how vertices scatter around them."""
+    ) -> tuple[Labels, np.ndarray]:
+        """Vertices that stick out are dropped (step 8); labels of all points, and residuals, f32[m], metres."""
         scatter, whole = Scatter.from_vertices(ground.tin), scene.points.cloud.whole
         spread = scatter.deviation(ground.tin) if whole is None or whole.scatter is None else whole.scatter
         least = max(self.scene_spread * spread, 0.0 if self.sensor == AIRBORNE else self.tolerated(scene.spacing))
@@ -376,12 +380,12 @@ class OST(Filter):
         dropped += sum(rule.prune(scene, ground, scatter) for rule in rules)
         if scene.points.kept is None:
             ground.finish(ground.todo)
-            scatter = scatter.at_all_points(ground)
+        residual = np.where(ground.tin.vertex, scatter.residual, np.float32(0))
         labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=scene.low)
         if crowd is not None:
-            labels, scatter = crowd.labels(ground, scene.low, LOW_DEPTH), Scatter(*(v[crowd.own] for v in scatter))
+            labels, residual = crowd.labels(ground, scene.low, LOW_DEPTH), residual[crowd.own]
         labels.info = {"pruned": dropped, "scatter": spread}
-        return labels, scatter
+        return labels, residual
 
     def tolerated(self, spacing: float) -> float:
         """Metres from the triangulation up to which points are ground, t."""

@@ -103,7 +103,7 @@ def places_to_look_at(
         x, y = grid.x0 + (column + 0.5) * least, grid.y0 + (row + 0.5) * least
         shown = [(*xy, least, "errors") for xy in zip(x, y, strict=True)]
     else:
-        listed = places_of(find_suspects(cloud, found), cloud.units.xy)[:_PLACES]
+        listed = places_of([find_suspects(cloud, found)], cloud.units.xy)[:_PLACES]
         local = ((np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed)
         shown = [(*xy, max(math.sqrt(one.area), least), one.reason) for xy, one in zip(local, listed, strict=True)]
     return [dict(zip(("x", "y", "side", "what"), one, strict=True)) for one in shown]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy
+import scipy.ndimage
+import scipy.spatial
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
@@ -18,7 +20,7 @@ from ..files.disk import Bounds, check_suffix
 from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of
-from ..terrain.outline import cells_of, inward, occupied
+from ..terrain.outline import cells_of, inward
 from ..terrain.raster import RasterGrid
 
 if TYPE_CHECKING:
@@ -26,11 +28,21 @@ if TYPE_CHECKING:
 
 SIDE = 2.0
 """Metres: side of the cells that places are made of."""
-LIKELY = 0.06
+LIKELY = 0.04
 """Cells whose terrain is off by more than half a metre with this chance, or a larger one, are named."""
 LEAST_AREA = 40.0
 """Square metres that a place has at least."""
-WEIGHTS = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
+LARGEST = 2500.0
+"""Square metres that a place has at most."""
+SQUARE = 25
+"""Cells along the squares that cut what is larger."""
+VIEW = 40.0
+"""Cells: what lies so near to the largest part of a place, in both directions, is part of it, so that one view shows all."""
+BLANK = 0.5
+"""Share of the cells of a square from which on it is blank: where two of these touch, nothing can be said of the area."""
+MOST, FEW = 60.0, 3
+"""Places per square kilometre of the data, at most; so many in any case."""
+WEIGHTS = np.array([[-1.18, 1.17, -1.06, -1.15, 1.15], [-3.27, 0.0, -1.06, -0.48, 1.2]])
 """f64[2, 5]: constant and weights of :func:`gather_evidence`, for results with doubt and without; fitted to tiles and scenes."""
 CUT_REACH = 30.0
 """Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
@@ -53,6 +65,10 @@ REASONS = (
     "doubtful points",
 )
 """Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
+ALONE = 2
+"""The first so many reasons say what is there: what has one of these is a place of its own."""
+UNKNOWN_AREA = "nothing can be said of this area"
+"""Why an area is named that is too large to be looked through for errors."""
 SUSPECT = np.dtype([("cell", "i4", 2), ("chance", "f4"), ("error", "f4"), ("reason", "i1"), ("filled", "?")])
 """A cell where the terrain model may be wrong: column and row from the zero of the coordinates; the chance that it is off by more
 than half a metre; the expected error, metres; the place in :data:`REASONS`; whether it holds points."""
@@ -77,11 +93,15 @@ class ReviewCells(NamedTuple):
     noise: np.ndarray
 
     @classmethod
-    def from_cloud(cls, cloud: PointCloud, result: FilterResult, grid: RasterGrid) -> ReviewCells:
-        """With at least one candidate."""
-        shape, every, rows = grid.shape, cells_of(cloud, grid), np.flatnonzero(cloud.candidate)
-        at, z, ground = every[rows], cloud.xyz[rows, 2].astype(np.float64), result.ground[rows]
-        low, height, is_ground, noise = (np.full(shape, none) for none in (np.inf, np.inf, False, False))
+    def from_cloud(
+        cls, cloud: PointCloud, result: FilterResult, every: np.ndarray, shape: tuple[int, int]
+    ) -> ReviewCells:
+        """With at least one candidate. ``every``: i64[n], the cell of each point, of ``shape``."""
+        rows = np.arange(len(cloud)) if (all_count := bool(cloud.candidate.all())) else np.flatnonzero(cloud.candidate)
+        part = slice(None) if all_count else rows
+        at, z, ground = every[part], cloud.xyz[part, 2], result.ground[part]
+        height, is_ground, noise = (np.full(shape, none) for none in (np.inf, False, False))
+        low = np.full(shape, np.inf, z.dtype)
         np.minimum.at(low.reshape(-1), at, z)
         least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
@@ -95,10 +115,10 @@ class ReviewCells(NamedTuple):
         def sums(values: np.ndarray | None = None) -> np.ndarray:
             return np.bincount(at, values, low.size).reshape(shape)
 
-        points, grounds = sums(), sums(ground)
-        doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[rows]))
+        points, grounds = sums().astype(np.float64), np.bincount(at[ground], minlength=low.size).reshape(shape) * 1.0
+        doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[part]))
         near = tuple(scipy.ndimage.distance_transform_edt(np.isinf(low), return_distances=False, return_indices=True))
-        return cls(low[near], height[near], is_ground, points, grounds, doubt, noise)
+        return cls(low[near].astype(np.float64), height[near], is_ground, points, grounds, doubt, noise)
 
 
 def as_result(cloud: PointCloud, result: FilterResult | np.ndarray) -> FilterResult:
@@ -119,6 +139,14 @@ def gather_evidence(surface: ReviewCells) -> np.ndarray:
     return np.log(np.stack([doubt, grounds / points + 0.05, density + 0.05, slope + 0.05], axis=-1))
 
 
+class Suspects(NamedTuple):
+    """``cells``, of dtype :data:`SUSPECT`, whose terrain is wrong with a chance of :data:`LIKELY` or more; the ``area`` of all
+    cells that hold points, square metres."""
+
+    cells: np.ndarray
+    area: float
+
+
 def find_suspects(
     cloud: PointCloud,
     result: FilterResult | np.ndarray,
@@ -126,27 +154,31 @@ def find_suspects(
     footprints: Iterable[Bounds] | None = None,
     window: Bounds | None = None,
     core: Bounds | None = None,
-) -> np.ndarray:
-    """The cells of a cloud whose terrain is wrong with a chance of :data:`LIKELY` or more, of dtype :data:`SUSPECT`.
+    inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Suspects:
+    """The cells of a cloud whose terrain may be wrong.
 
     Args:
         cloud: n points. result: a FilterResult, or bool[n], what is ground.
         footprints: rectangles that are known to hold data, file coordinates, where the cloud was cut out of more data.
         window: the box that was read then; its edges are no outline. core: only cells with their centre in this box.
+        inside: only cells with their centre, x and y as f64[k] in file coordinates, where this is True.
 
     Raises: InputError for labels that do not fit, or if the extent is too large.
     """
     result = as_result(cloud, result)
     if not cloud.candidate.any():
-        return np.zeros(0, SUSPECT)
+        return Suspects(np.zeros(0, SUSPECT), 0.0)
     side, metre = SIDE / cloud.units.xy, cloud.units.xy
     grid = RasterGrid.over(extent_of(cloud) if window is None else window, side, metre, most_cells(len(cloud)))
     grid = RasterGrid(side, grid.left - 1, grid.bottom - 1, grid.columns + 2, grid.rows + 2)
-    data = occupied(cloud, grid)
+    at = cells_of(cloud, grid)
+    data = np.zeros(grid.shape, bool)
+    data.flat[at if cloud.valid is None else at[cloud.valid]] = True
     for box in footprints or ():
         if window is not None:
             data |= _cells_in(grid, box) & ~_cells_in(grid, window)
-    surface = ReviewCells.from_cloud(cloud, result, grid)
+    surface = ReviewCells.from_cloud(cloud, result, at, grid.shape)
     filled, figures, inner = surface.points > 0, gather_evidence(surface), inward(data, SIDE)
     seen = (sum_around(surface.points) > 0) & (inner > 0)
     weights = WEIGHTS[int(surface.doubt is None)]
@@ -157,15 +189,18 @@ def find_suspects(
     rise = np.where(face, surface.height, np.where(surface.ground, fall, 0))
     chance, error = np.where(rise > 0, np.maximum(chance, UNKNOWN), chance), np.maximum(error, rise)
     reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4).astype(np.int8)
-    named = chance >= LIKELY
-    if core is not None:
-        named &= _cells_in(grid, core)
+    own = np.ones(grid.shape, bool) if core is None else _cells_in(grid, core)
+    if inside is not None:
+        x, y = grid.centres()
+        row, column = np.nonzero(own)
+        own[row, column] = inside(x[column], y[row])
+    named = own & (chance >= LIKELY)
     row, column = np.nonzero(named)
     found = np.zeros(len(row), SUSPECT)
     found["cell"] = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1)
     found["chance"], found["error"] = chance[named], (chance * error)[named]
     found["reason"], found["filled"] = reason[named], filled[named]
-    return found
+    return Suspects(found, float((filled & own).sum()) * SIDE**2)
 
 
 def sum_around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
@@ -249,24 +284,88 @@ class Place(NamedTuple):
         return dict(zip(self._fields[:-1], self, strict=False))
 
 
-def places_of(found: np.ndarray, metre: float) -> list[Place]:
-    """Cells of dtype :data:`SUSPECT` that touch, at a corner too, are a place if they have :data:`LEAST_AREA`; largest volume
-    first. ``metre``: per unit."""
+def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
+    """The places of the parts of a cloud, largest volume first, and after them the areas of which nothing can be said.
+
+    Cells that touch, at a corner too, are a part if they have :data:`LEAST_AREA`; squares of :data:`SQUARE` cells cut what is
+    wider. Parts that one view shows are a place. The largest are listed, :data:`MOST` per square kilometre. ``metre``: per unit.
+    """
+    found = np.concatenate([part.cells for part in parts]) if parts else np.zeros(0, SUSPECT)
     found = found[np.lexsort(found["cell"].T)]
-    cell, volume = found["cell"], found["error"] * SIDE**2
-    of = groups(*touching(cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0], _WIDE), len(cell))
-    count = np.bincount(of)
-    parts = np.split(np.argsort(of, kind="stable"), np.cumsum(count)[:-1])
-    places = []
-    for number in np.flatnonzero(count * SIDE**2 >= LEAST_AREA).tolist():
-        at = parts[number]
-        held = cell[at[found["filled"][at]]]
-        if not len(held):
+    found = found[(np.bincount(of := _connected(_key(found["cell"]))) * SIDE**2 >= LEAST_AREA)[of]]
+    square, at, count = np.unique(_key(found["cell"] // SQUARE), return_inverse=True, return_counts=True)
+    blank = np.flatnonzero(count >= BLANK * SQUARE**2)
+    area, of = np.full(len(square), -1), _connected(square[blank])
+    area[blank] = np.where((np.bincount(of) > 1)[of], of, -1)
+    blanks = _listed(found, area[at], metre)
+    rest = area[at] < 0
+    found, at = found[rest], at[rest]
+    of = _connected(_key(found["cell"]))
+    volume = np.zeros((len(found), len(REASONS)))
+    np.add.at(volume, (of, found["reason"]), found["error"])
+    found["reason"] = volume.argmax(axis=1)[of]
+    wide = np.zeros(len(found), bool)
+    for axis in range(2):
+        place, cell = np.full((2, len(found)), _WIDE), found["cell"][:, axis].astype(np.int64)
+        np.minimum.at(place[0], of, cell)
+        np.minimum.at(place[1], of, -cell)
+        wide |= (-place[1] - place[0])[of] >= SQUARE
+    part = np.where(wide, of * np.int64(len(square)) + at, -1 - of)
+    most = max(FEW, math.floor(MOST * sum(part.area for part in parts) / 1e6))
+    places = _listed(found, _gathered(found, part, most), metre)
+    return places + [place._replace(reason=UNKNOWN_AREA) for place in blanks]
+
+
+def _gathered(found: np.ndarray, part: np.ndarray, most: int) -> np.ndarray:
+    """i64[n]: the place of each cell, negative for none: a part of large volume and those around it, up to :data:`LARGEST`.
+
+    ``part``: i64[n], of each cell.
+    """
+    _, first_cell, part, count = np.unique(part, return_index=True, return_inverse=True, return_counts=True)
+    volume = np.bincount(part, found["error"])
+    x, y = (np.bincount(part, found["error"] * found["cell"][:, axis]) / volume for axis in range(2))
+    level = np.where(found["reason"][first_cell] < ALONE, 1.0 + np.arange(len(volume)), 0.0)
+    middle = np.stack([x, y, level * _WIDE], axis=1)
+    order = np.argsort(-volume, kind="stable")
+    rank, place = np.argsort(order), np.full(len(volume), -1)
+    likely, tree, number = volume / count, scipy.spatial.cKDTree(middle), 0
+    for first in order.tolist():
+        if place[first] >= 0:
             continue
-        middle = np.average(cell[at], axis=0, weights=volume[at])
-        x, y = ((held[np.square(held - middle).sum(axis=1).argmin()] + 0.5) * SIDE / metre).tolist()
-        why, chance = REASONS[int(np.bincount(found["reason"][at], volume[at]).argmax())], found["chance"][at].mean()
-        places.append(Place(x, y, len(at) * SIDE**2, float(volume[at].sum()), float(chance), why, cell[at]))
+        if number == most:
+            break
+        near = np.array(tree.query_ball_point(middle[first], VIEW, p=np.inf))
+        near = near[place[near] < 0]
+        near = near[np.lexsort((rank[near], -likely[near], near != first))]
+        place[near[np.cumsum(count[near]) * SIDE**2 <= LARGEST]] = number
+        number += 1
+    return place[part]
+
+
+def _key(cell: np.ndarray) -> np.ndarray:
+    """i64[n]: cells i[n, 2] as numbers, row by row."""
+    return cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0]
+
+
+def _connected(key: np.ndarray) -> np.ndarray:
+    """i32[n]: the group of each cell, of those that touch; ``key``: ascending."""
+    return groups(*touching(key, _WIDE), len(key))
+
+
+def _listed(found: np.ndarray, of: np.ndarray, metre: float) -> list[Place]:
+    """Cells of dtype :data:`SUSPECT` as the places that they are ``of``, i[n], none if negative; largest volume first."""
+    order = np.argsort(of, kind="stable")[np.count_nonzero(of < 0) :]
+    places = []
+    for at in np.split(order, np.flatnonzero(np.diff(of[order])) + 1) if len(order) else []:
+        cell, volume = found["cell"][at], found["error"][at] * SIDE**2
+        first = cell.min(axis=0)  # sums from it on have the same bits wherever the cloud lies
+        held = cell[found["filled"][at]]
+        if len(at) * SIDE**2 < LEAST_AREA or not len(held):
+            continue
+        middle = volume @ (cell - first) / volume.sum()
+        x, y = ((held[np.square(held - first - middle).sum(axis=1).argmin()] + 0.5) * SIDE / metre).tolist()
+        why, chance = REASONS[int(np.bincount(found["reason"][at], volume).argmax())], float(found["chance"][at].mean())
+        places.append(Place(x, y, len(at) * SIDE**2, float(volume.sum()), chance, why, cell))
     return sorted(places, key=lambda place: -place.volume)
 
 
@@ -279,10 +378,11 @@ def review(
 ) -> geopandas.GeoDataFrame:
     """Places where the terrain model may be off by more than half a metre, the largest expected error volume first.
 
-    Cells of 2 m whose chance of such an error is 6 % or more are named; those that touch are one place, from 40 m2 on. The
-    chance follows from the mean doubt of the points, the share of ground among them, the density of ground points, and the
-    slope of the terrain. Objects that are labelled ground and that the outline of the data cuts are named as well
-    (docs/doubt.md).
+    Cells of 2 m whose chance of such an error is 4 % or more are named. Those that touch count from 40 m2 on; what lies close
+    together is one place of 2,500 m2 at most, and at most 60 places per km2 are listed, or three. The chance follows from the
+    mean doubt of the points, the share of ground among them, the density of ground points, and the slope of the terrain. Objects
+    that are labelled ground and that the outline of the data cuts are named as well. Where half of a larger area is named, it is
+    one entry at the end: nothing can be said of this area (docs/doubt.md).
 
     Args:
         cloud: what was classified, n points, a PointCloud or a ``laspy.LasData``.
@@ -306,7 +406,7 @@ def review(
 
     target = None if path is None else check_suffix(Path(path), VECTOR_SUFFIXES)
     cloud = as_cloud(cloud)
-    table = table_of(places_of(find_suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
+    table = table_of(places_of([find_suspects(cloud, result)], cloud.units.xy), cloud.units.xy, cloud.crs)
     if target is not None:
         write_features(target, [table], "review", overwrite=overwrite)
     return table

@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import correlate1d
 
 from ..core.compilation import bucket
 from ..core.filter import Labels
 from ..engines.chunks import in_chunks
-from .doubt_model import DOUBT_MODEL
-from .pruning import Scatter
+from .surfaces import Cells, look_up
 
-FEATURES = (
-    "height", "near", "below", "drop", "flip", "residual", "roughness", "facet", "landscape",
-)  # fmt: skip
+FEATURES = ("height", "near", "below", "drop", "flip", "residual", "facet", "landscape", "mixed")
 """What :func:`evidence` says of each point, in this order."""
+MODEL = Path(__file__).with_name("doubt.csv")
+"""Made by ``experiments/default/doubt.py``, from simulated scenes and labelled tiles."""
+WEIGHTS = np.loadtxt(MODEL, delimiter=",", skiprows=1, usecols=range(1, len(FEATURES) + 2))
+"""f64[2, 1 + features]: constant and weights, for points that are not ground and for ground."""
+SPARSEST = 0.2
+"""Points per square metre: where there are fewer, doubt does not hold."""
+SPARSE = f"doubt does not hold: there are fewer than {SPARSEST} points per m2"
+_AROUND = 6.0
+"""Metres, or spacings where these are more, along the square around a point in which labels are compared."""
+_LEVEL = 3.0
+"""Tolerances above and below the triangulation within which they are."""
 _ROWS = 2**14
 """Points that are looked at at a time: what is made of them stays in the cache."""
 
 
-def doubts(labels: Labels, scatter: Scatter, drop: np.ndarray, landscape: np.ndarray, tolerance: float) -> np.ndarray:
+def doubts(
+    labels: Labels,
+    residual: np.ndarray,
+    drop: np.ndarray,
+    landscape: np.ndarray,
+    mixed: np.ndarray,
+    tolerance: float,
+) -> np.ndarray:
     """f32[m]: how likely the labels of points are to be wrong.
 
     Args:
-        labels: of the points m, with heights and slopes over the final triangulation; scatter: of all of them.
+        labels: of the points m, with heights and slopes over the final triangulation.
+        residual: f32[m], metres that vertices lie above the plane of their neighbours; zero for other points.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
-        landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
+        landscape: f32[m], rise over run. mixed: f32[m], see :func:`mixture`.
+        tolerance: height of ground over the facets of the seeds, metres.
     """
-    given: Any = labels.ground, labels.height, labels.slope, *scatter, drop, landscape
+    given: Any = labels.ground, labels.height, labels.slope, residual, drop, landscape, mixed
     size, least = bucket(min(len(drop), _ROWS)), max(tolerance, 0.01)
     found: np.ndarray = in_chunks(
         lambda labels, *columns: probability(np.asarray(evidence(*columns, least)), labels),
@@ -41,14 +60,30 @@ def doubts(labels: Labels, scatter: Scatter, drop: np.ndarray, landscape: np.nda
     return found
 
 
+def mixture(xyz: np.ndarray, cells: Cells, labels: Labels, spacing: float, tolerance: float) -> np.ndarray:
+    """f32[m]: how mixed the labels around points f32[m, 3] are, of those that are about as high as the ground: 0 where all are
+    the same, 1 where half of them are ground. ``spacing`` and ``tolerance``: metres."""
+    at, shape = cells.grid.flat(xyz), cells.grid.shape
+    assert labels.height is not None
+    near = np.abs(labels.height) < _LEVEL * max(tolerance, 0.01)
+    wide = 2 * round(_AROUND * max(1.0, spacing) / cells.grid.cell / 2) + 1
+    count, ground = (np.bincount(at[rows], minlength=shape[0] * shape[1]) for rows in (near, near & labels.ground))
+    for axis in range(2):  # sums of whole numbers are exact, so that tiles agree
+        count, ground = (
+            correlate1d(table.reshape(shape), np.ones(wide, int), axis, mode="constant") for table in (count, ground)
+        )
+    share = (ground + 0.5) / (count + 1)
+    return look_up(xyz, cells, (1 - np.abs(2 * share - 1)).astype(np.float32))[0]
+
+
 @jax.jit
 def evidence(
     height: jax.Array,
     slope: jax.Array,
     residual: jax.Array,
-    roughness: jax.Array,
     drop: jax.Array,
     landscape: jax.Array,
+    mixed: jax.Array,
     tolerance: jax.Array,
 ) -> jax.Array:
     """f32[n, 9]: figures without a unit that tell certain labels from doubtful ones. Lengths are in tolerances.
@@ -56,12 +91,11 @@ def evidence(
     ``height``: of the point over the triangulation of the ground, log(1 + |h|), at most 4. ``near``: 1 where that is one
     tolerance, less where it is more or fewer. ``below``: log(1 + h) of points below it, at most 3. ``drop``: logarithm of
     the steepest drop of the cell in terms of its limit, -3 to 2. ``flip``: 1 where the cell is at the limit, 0 from a factor
-    of e on. ``residual``: of a vertex above the plane of its neighbours, log(1 + e). ``roughness``: log(1 + root mean
-    square) of these around the point. ``facet``: slope of its facet, at most 1.5. ``landscape``: square root of its slope,
-    at most 1.
+    of e on. ``residual``: of a vertex above the plane of its neighbours, log(1 + e). ``facet``: slope of its facet, at most
+    1.5. ``landscape``: square root of its slope, at most 1. ``mixed``: how mixed the labels around are.
 
-    Args: f32[n] each, and f32, as for :func:`doubts`; ``height`` in metres and ``slope`` in degrees over the triangulation,
-    ``residual`` and ``roughness`` as in :class:`jaxfilter.steps.pruning.Scatter`. What is not a number is zero.
+    Args: f32[n] each, and f32, as for :func:`doubts`; ``height`` in metres and ``slope`` in degrees over the triangulation.
+    What is not a number is zero.
     """
     h = height / tolerance
     size = jnp.abs(h)
@@ -73,9 +107,9 @@ def evidence(
         steepness,
         jnp.maximum(0, 1 - jnp.abs(steepness)),
         jnp.log1p(jnp.maximum(residual, 0) / tolerance),
-        jnp.log1p(roughness / tolerance),
         jnp.minimum(jnp.tan(jnp.radians(jnp.minimum(slope, 80))), 1.5),
         jnp.sqrt(jnp.clip(landscape, 0, 1)),
+        mixed,
     )
     return jnp.nan_to_num(jnp.stack(columns, axis=1))
 
@@ -85,5 +119,5 @@ def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
     At most one half: of two labels the method takes the more likely one.
     """
-    other, own = (evidence @ DOUBT_MODEL[:, 1:].T + DOUBT_MODEL[:, 0]).T
+    other, own = (evidence @ WEIGHTS[:, 1:].T + WEIGHTS[:, 0]).T
     return np.minimum(1 / (1 + np.exp(-np.where(ground, own, other))), 0.5).astype(np.float32)

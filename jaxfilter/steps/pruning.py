@@ -40,16 +40,6 @@ class Scatter(NamedTuple):
         list(tin.pool.map(lambda part: roughness(*tables, part, *out), parts))
         return out
 
-    def at_all_points(self, ground: GroundTin) -> Scatter:
-        """Over the triangulation as it is: points that are no vertex have no residual, and the mean roughness at the corners of
-        their facet."""
-        around, tin = self.roughness.copy(), ground.tin
-        tin.locate(np.flatnonzero(ground.ground & ~tin.vertex))  # the others are up to date
-        ground.locate_outside()
-        rows = np.flatnonzero(~tin.vertex)
-        around[rows] = around[tin.corners(tin.where[rows])].mean(axis=1)
-        return Scatter(np.where(tin.vertex, self.residual, 0), around)
-
     def deviation(self, tin: Tin) -> float:
         """Metres: the standard deviation of the residuals of vertices, as 1.4826 times their median absolute value."""
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))

@@ -76,6 +76,8 @@ class GroundProduct(Product):
         found = {name: getattr(result, name) for name in self.extra}
         if absent := [name for name, values in found.items() if values is None]:
             raise ParameterError(f"extra={self.extra!r}: the method states no {absent[0]}; OST does")
+        if "doubt" in found and "doubt" in result.info:
+            warn(result.info["doubt"])
         for name, values in found.items():
             if around.cloud.candidate.any() and np.isnan(values).all():
                 warn(f"extra: {name} is NaN for all points: the method does not compute it")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from .product import KEPT, Product
 from .report import RunReport
 from .tiles import Around, Tile
 
-_SUSPECTS = f"{KEPT}suspects"
+_SUSPECTS, _AREA = (f"{KEPT}{name}" for name in ("suspects", "area"))
 
 
 def suspects_in(
@@ -32,18 +33,18 @@ def suspects_in(
 
     Warns: if the extent of the points is too large for a grid, and lists none.
     """
-    from ..reports.places import SIDE, SUSPECT, find_suspects  # late: it brings SciPy's image functions
+    from ..reports.places import SUSPECT, Suspects, find_suspects  # late: it brings SciPy's image functions
 
     boxes = [source.bounds for source in tile.sources if source.count]
     if reading.bounds is not None:
         boxes = [common(box, reading.bounds) for box in boxes]
     try:
-        found = find_suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
+        inside = partial(within, reading.aoi)
+        found = find_suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core, inside=inside)
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
-        found = np.zeros(0, SUSPECT)
-    places = (found["cell"].T + 0.5) * SIDE / around.cloud.units.xy
-    return {_SUSPECTS: found[within(reading.aoi, *places)]}
+        found = Suspects(np.zeros(0, SUSPECT), 0.0)
+    return {_SUSPECTS: found.cells, _AREA: np.array(found.area)}
 
 
 def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:
@@ -51,10 +52,10 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
 
     Raises: InputError, OutputError.
     """
-    from ..reports.places import places_of, table_of
+    from ..reports.places import Suspects, places_of, table_of
 
-    parts = [arrays[_SUSPECTS] for arrays in product.kept(report, (_SUSPECTS,))]
-    places = places_of(np.concatenate(parts), collection.metre) if parts else []
+    kept = product.kept(report, (_SUSPECTS, _AREA))
+    places = places_of([Suspects(arrays[_SUSPECTS], float(arrays[_AREA])) for arrays in kept], collection.metre)
     report.places = [place.facts() for place in places]
     if path is not None:
         write_features(path, [table_of(places, collection.metre, collection.crs)], "review", overwrite=replace)

@@ -3,15 +3,17 @@
   <renderer-v2 type="RuleRenderer">
     <rules key="places">
       <rule key="decided" label="decided" symbol="3" filter="coalesce(attribute($currentfeature, 'verdict'), '') &lt;&gt; ''"/>
-      <rule key="first" label="rank 1 to 10" symbol="0" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;rank&quot; &lt;= 10"/>
-      <rule key="next" label="rank 11 to 50" symbol="1" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;rank&quot; &gt; 10 AND &quot;rank&quot; &lt;= 50"/>
-      <rule key="last" label="rank from 51" symbol="2" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;rank&quot; &gt; 50"/>
+      <rule key="unknown" label="nothing can be said" symbol="4" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;reason&quot; = 'nothing can be said of this area'"/>
+      <rule key="first" label="rank 1 to 10" symbol="0" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;reason&quot; &lt;&gt; 'nothing can be said of this area' AND &quot;rank&quot; &lt;= 10"/>
+      <rule key="next" label="rank 11 to 50" symbol="1" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;reason&quot; &lt;&gt; 'nothing can be said of this area' AND &quot;rank&quot; &gt; 10 AND &quot;rank&quot; &lt;= 50"/>
+      <rule key="last" label="rank from 51" symbol="2" filter="coalesce(attribute($currentfeature, 'verdict'), '') = '' AND &quot;reason&quot; &lt;&gt; 'nothing can be said of this area' AND &quot;rank&quot; &gt; 50"/>
     </rules>
     <symbols>
       <symbol name="0" type="fill" alpha="1"><layer class="SimpleFill" enabled="1"><Option type="Map"><Option name="color" type="QString" value="215,25,28,80"/><Option name="outline_color" type="QString" value="215,25,28,255"/><Option name="outline_width" type="QString" value="0.5"/><Option name="outline_width_unit" type="QString" value="MM"/><Option name="style" type="QString" value="solid"/><Option name="outline_style" type="QString" value="solid"/></Option></layer></symbol>
       <symbol name="1" type="fill" alpha="1"><layer class="SimpleFill" enabled="1"><Option type="Map"><Option name="color" type="QString" value="253,141,60,80"/><Option name="outline_color" type="QString" value="253,141,60,255"/><Option name="outline_width" type="QString" value="0.5"/><Option name="outline_width_unit" type="QString" value="MM"/><Option name="style" type="QString" value="solid"/><Option name="outline_style" type="QString" value="solid"/></Option></layer></symbol>
       <symbol name="2" type="fill" alpha="1"><layer class="SimpleFill" enabled="1"><Option type="Map"><Option name="color" type="QString" value="254,217,118,80"/><Option name="outline_color" type="QString" value="254,217,118,255"/><Option name="outline_width" type="QString" value="0.5"/><Option name="outline_width_unit" type="QString" value="MM"/><Option name="style" type="QString" value="solid"/><Option name="outline_style" type="QString" value="solid"/></Option></layer></symbol>
       <symbol name="3" type="fill" alpha="1"><layer class="SimpleFill" enabled="1"><Option type="Map"><Option name="color" type="QString" value="120,120,120,80"/><Option name="outline_color" type="QString" value="120,120,120,255"/><Option name="outline_width" type="QString" value="0.5"/><Option name="outline_width_unit" type="QString" value="MM"/><Option name="style" type="QString" value="solid"/><Option name="outline_style" type="QString" value="solid"/></Option></layer></symbol>
+      <symbol name="4" type="fill" alpha="1"><layer class="SimpleFill" enabled="1"><Option type="Map"><Option name="color" type="QString" value="120,120,120,80"/><Option name="outline_color" type="QString" value="120,120,120,255"/><Option name="outline_width" type="QString" value="0.5"/><Option name="outline_width_unit" type="QString" value="MM"/><Option name="style" type="QString" value="b_diagonal"/><Option name="outline_style" type="QString" value="solid"/></Option></layer></symbol>
     </symbols>
   </renderer-v2>
   <labeling type="simple">
