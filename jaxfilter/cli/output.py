@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import math
 import os
 import shutil
 import sys
@@ -113,13 +112,11 @@ def plan_answer(plan: Forecast) -> Answer:
     """What a run would do."""
     each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"
     read = "" if plan.tiles == 1 else f", each point read {plan.times_read:.1f} times"
-    unknown = "unknown: the piece that was tried has no result"
-    time = unknown if math.isnan(plan.seconds) else f"about {_span(plan.seconds)}"
     more = ", ..." * (len(plan.files) > _FILES_LISTED)
     lines = [
         f"points  {plan.points:,} in {count(plan.tiles, 'tile')}{each}{read}",
         f"memory  {plan.memory / 1e9:.1f} GB for {count(plan.workers, 'worker')}",
-        f"time    {time}",
+        f"time    about {_span(plan.seconds)}, by the number of points and a rate; other machines differ by a factor of two",
         f"files   {len(plan.files):,} to write: {', '.join(plan.files[:_FILES_LISTED])}{more}",
         "nothing was written, since --dry-run was given",
     ]

@@ -115,8 +115,12 @@ def products(
             classified = act(run=anew)
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
-    if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell), source, reading=reading, run=run)
+    if run.dry_run:
+        known = reading.aoi is None and classified is not None  # around an area the rasters look for the ground again
+        tried = make_rasters(what, Rasters(outputs, cell), (2,) if known else source, reading=reading, run=run)
+        if classified is not None and classified.forecast is not None and tried.forecast is not None:
+            seconds = classified.forecast.seconds + tried.forecast.seconds
+            tried.forecast = tried.forecast._replace(seconds=seconds)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
