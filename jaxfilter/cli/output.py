@@ -95,7 +95,8 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(remark, times)
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
-    for one in report.left_out:
+    named = " ".join(session.warnings)
+    for one in (one for one in report.left_out if one["file"] not in named):
         session.warn(f"{one['file']} was left out, so that tiles beside it lack its points: {one['reason']}")
     for one in report.failed:
         session.warn(f"{one['file']} was not written: {one['reason']}")
@@ -105,6 +106,8 @@ def answer_of(files: Files, report: RunReport, text: str) -> Answer:
     """What a run has found, with lines on what it warned of and could not do."""
     tell(files.session, report)
     text = f"{files.output} {_COMPLETE}" if report.was_complete else text
+    if lost := list(dict.fromkeys(one["file"] for one in (*report.failed, *report.left_out))):
+        text += f"\n{count(len(lost), 'file')} not read, so that there is nothing where they lie: {', '.join(lost)}"
     return Answer(run_facts(files.session, report, files), text, complete=report.complete)
 
 

@@ -60,7 +60,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
 
     Ground grows again at these places and 4 m around them, from what was said. verdicts.json beside the files lists what was
     carried out; it is not carried out again. Verdicts that contradict each other, are no verdicts, or lie beside the data are
-    named and left out. Then the exit code is 1.
+    named and left out. The exit code is 1 if no verdict could be carried out.
     """
     from ..files.classes import Classes
     from ..reviews.survey import apply_survey

@@ -85,8 +85,8 @@ def _plain(value: Any) -> Any:
 
 
 class Forecast(NamedTuple):
-    """What a run would do, by the headers of the files. The largest tile decides on ``memory``; ``seconds`` are those of the points
-    that are read, at a rate that was measured for the method on a server. Both are estimates.
+    """What a run would do, by the headers of the files. The largest tile decides on ``memory``; ``seconds`` are those of
+    the points that are read, at a rate that was measured for the method on a server. Both are estimates.
 
     Attributes:
         points: of the files; tiles: number of them; side, halo: metres, NaN of a run in one piece.

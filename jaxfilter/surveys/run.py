@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.version import __version__
@@ -39,8 +39,8 @@ from .survey import Survey
 from .tiles import Tile, joined, read_tile
 
 _RATES = {"OST": 4.0, "PPDF": 4.0, "CSF": 2.0, "MSF": 2.0, "PMF": 2.0, "SMRF": 2.0, "NoneType": 1.0}
-"""CPU seconds for a million points that are read, by filter, writing included (experiments/tiling, experiments/bench; two cores of a
-server); :data:`_OTHER` for those that are not listed."""
+"""CPU seconds for a million points that are read, by filter, writing included, on a core of a server (experiments/tiling and
+experiments/bench); :data:`_OTHER` for those that are not listed."""
 _OTHER, _START = 3.0, 3.0
 """The second: seconds until the first tile begins."""
 _TOO_OFTEN = 3.0
@@ -89,7 +89,7 @@ class TiledSurvey(Survey):
                 written = store.done or (not targets.in_place and any(map(is_there, targets.places)))
                 if len(plan) == 1 and not written:  # there is nothing to go on with
                     targets.discard()
-                elif isinstance(error, KeyboardInterrupt):
+                elif isinstance(error, (KeyboardInterrupt, OutputError)):
                     error.add_note("pass resume=True to go on")
                 raise
             if targets.folder is None:
@@ -111,8 +111,8 @@ class TiledSurvey(Survey):
         return None
 
     def _forecast(self, product: Product) -> RunReport:
-        """A report with nothing but the forecast: files are counted and cut into tiles by their headers, no point is filtered. What
-        depends on the points is set from their density."""
+        """A report with nothing but the forecast: files are counted and cut into tiles by their headers. No point is filtered;
+        what depends on points is set by their density."""
         self.targets.check(self.options)
         collection, options, nan, recipe = self.collection, self.options, math.nan, self.recipe
         filter_ = None if recipe is None else recipe.on(joined([], Whole(self.where.spacing)))
