@@ -230,7 +230,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
-            "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
+            "input to point format 6 or above first (laspy.convert(las, point_format_id=6)), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
     if wrong := [name for name, dimension in existing.items() if dimension.data_type not in FLOATS]:
