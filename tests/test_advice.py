@@ -40,7 +40,6 @@ def made(tmp_path_factory):
         las_of(folder / "in" / f"{name}.laz", xyz + [shift, 0, 0], classification=0)
     las_of(folder / "labelled.las", xyz, classification=classes)
     las_of(folder / "stray.las", np.concatenate([xyz, [[3e5, 0, 0]]]), classification=0)
-    las_of(folder / "far.las", np.concatenate([xyz, xyz + [3e5, 3e5, 0]]), classification=0)
     las_of(folder / "old.las", xyz, 1, classification=0)
     las_of(folder / "degrees.las", np.column_stack([xyz[:, :2] / 1e3, xyz[:, 2] * 50]), scales=1e-7, classification=0)
     cloud = jf.PointCloud.from_arrays(xyz, crs="EPSG:25832")
@@ -99,8 +98,6 @@ CASES = {  # a command; words of what it says; and what is added to it, or put i
     "a demo": ("demo full --size 40 30", "or pass --overwrite", "--overwrite"),
     "a large raster": ("dtm labelled.las out.tif -q --cell .0005", "pass a larger --cell", ".0005 > 1"),
     "other units": ("dtm labelled.las feet.las out.tif -q", "or pass --units if one", "--units m"),
-    "tiles beyond number": (f"ground pmf far.las out.las {PMF} --tile .001 --wide-halos", "pass --tile with more",
-                            ".001 > 1e5"),
 }  # fmt: skip
 
 
