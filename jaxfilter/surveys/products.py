@@ -82,7 +82,6 @@ def products(
     """
     from ..reports.survey_page import write_survey_page
 
-    given = what
     names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
         raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
@@ -126,23 +125,21 @@ def products(
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
-    lost = () if classified is None else (*classified.failed, *classified.left_out)
-    names_of_lost = tuple(dict.fromkeys(one["file"] for one in lost))
+    lost = [] if classified is None else [*classified.failed, *classified.left_out]
+    left_out: tuple[str, ...] = ()
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
-        what = classified.files
+        what, left_out = classified.files, tuple(dict.fromkeys(one["file"] for one in lost))
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    layers_of = Rasters(outputs, cell, water=water, lost=() if what is given else names_of_lost)
-    rasters = make_rasters(what, layers_of, source, reading=reading, run=anew)
-    if classified is not None:  # the rasters read what it has written: it has said the same of the inputs
-        said = {remark.partition(": ")[2] for remark in classified.remarks}
-        for remark in [one for one in rasters.remarks if one.partition(": ")[2] in said]:
-            del rasters.total.remarks[remark]
+    made_of = Rasters(outputs, cell, water=water, lost=left_out)
+    rasters = make_rasters(what, made_of, source, reading=reading, run=anew)
+    for remark in [one for one in rasters.remarks if one.startswith(f"{folder / CLASSIFIED}")]:
+        del rasters.total.remarks[remark]  # it was said of the input
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
     figures = [*zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)]
-    reasons = {place_of(one["file"]).name: one["reason"] for one in (*rasters.left_out, *lost)}
-    figures += [("not read, so that nothing is known there", f"{name}: {why}") for name, why in reasons.items()]
+    why_lost = {place_of(one["file"]).name: one["reason"] for one in (*rasters.left_out, *lost)}
+    figures += [("not read, so that nothing is known there", f"{name}: {why}") for name, why in why_lost.items()]
     write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)
