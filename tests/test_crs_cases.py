@@ -10,7 +10,7 @@ import pyogrio
 import pyproj
 import pytest
 import rasterio
-from commands import run
+from commands import done, run
 from las_files import las_of
 
 import jaxfilter as jf
@@ -163,6 +163,22 @@ def test_wkt_and_keys_that_contradict_one_another(tmp_path, point_format, bit, t
     said, made = model_of(path)
     assert made.name == pyproj.CRS.from_user_input(used).name
     assert words in said and said.count("warning: ") == said.count("in.las: the CRS of its") == bool(words)
+
+
+@pytest.mark.parametrize("point_format, text", [(1, None), (1, 25832), (6, 25832)])
+def test_heights_that_are_stated_for_files_without_them_reach_all_outputs(tmp_path, point_format, text):
+    """LAS 1.2 holds them as GeoTIFF keys, LAS 1.4 as WKT. The other records of the CRS go."""
+    records = [] if text is None else geokeys({1024: 1, 3072: text})
+    if point_format == 6:
+        records = [pyproj.CRS(text).to_wkt("WKT1_GDAL")]
+    path = file_with(tmp_path / "in.las", *records, point_format=point_format, wkt_bit=point_format == 6)
+    stated = "EPSG:25832+7837"
+    done("ground", "pmf", path, tmp_path / "out.las", "--crs", stated, "-q")
+    done("dtm", path, tmp_path / "out.tif", "--filter", "pmf", "--crs", stated, "-q")
+    name = "ETRS89 / UTM zone 32N + DHHN2016 height"
+    assert jf.open(tmp_path / "out.las").crs.name == jf.Raster.read(tmp_path / "out.tif").crs.name == name
+    records = laspy.read(tmp_path / "out.las").header.vlrs
+    assert sum(record.user_id == "LASF_Projection" for record in records) == 1
 
 
 NAVD, NGVD = "EPSG:26915+5703", "EPSG:26915+7968"

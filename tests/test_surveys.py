@@ -11,6 +11,7 @@ import sys
 import laspy
 import numpy as np
 import pytest
+import rasterio
 from commands import done as completed
 from commands import facts, run
 from las_files import las_of
@@ -227,7 +228,7 @@ def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path
     )
 
 
-def test_bounds_without_points_are_an_error_beside_the_data_and_give_an_empty_file_in_a_gap(survey, tmp_path):
+def test_bounds_without_points_are_an_error_beside_the_data_and_in_a_gap(survey, tmp_path):
     xyz = jf.read(survey / "west.las").coordinates()
     path = tmp_path / "gap.laz"
     las_of(path, np.concatenate([xyz, xyz + [1000, 0, 0]]), classification=2)
@@ -236,12 +237,45 @@ def test_bounds_without_points_are_an_error_beside_the_data_and_give_an_empty_fi
         for what in (path, survey):
             with pytest.raises(jf.InputError, match="no point is in bounds 0, 0, 20, 20: pass other bounds="):
                 act(what, tmp_path / "out", *filter_, reading=jf.Reading(bounds=(0, 0, 20, 20)))
-    jf.heights(path, tmp_path / "out.laz", reading=jf.Reading(bounds=(x + 100, y - 50, x + 200, y)))
-    out = laspy.read(tmp_path / "out.laz")
-    assert len(out) == 0 and list(out.point_format.extra_dimension_names) == ["HeightAboveGround"]
+    gap = jf.Reading(bounds=(x + 100, y - 50, x + 200, y), units="m")
+    for out, how in (("out.laz", {}), ("tiles/", {"tile": 50.0, "wide_halos": True, "workers": 1})):
+        with pytest.raises(jf.InputError, match=r"no point is in bounds .*: pass other bounds= within 512000"):
+            jf.heights(path, f"{tmp_path}/{out}", reading=gap, run=jf.RunOptions(**how))
+    for bounds, words in (
+        (gap.bounds, "no cell of the dtm in bounds"),
+        ((0, 0, 20, 20), "no point is in bounds 0, 0, 20"),
+    ):
+        with pytest.raises(jf.InputError, match=words):
+            interpolation = jf.Interpolation(max_gap=5.0)
+            jf.terrain_model(path, tmp_path / "dtm.tif", interpolation=interpolation, reading=jf.Reading(bounds=bounds))
+    assert [one.name for one in tmp_path.iterdir()] == ["gap.laz"]
 
 
-def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
+def test_what_damaged_files_cover_has_no_value_and_is_named(tmp_path):
+    """One of four files is cut, and in another the points are overwritten."""
+    rng = np.random.default_rng(3)
+    (tmp_path / "in").mkdir()
+    for i, name in enumerate(("sw", "se", "nw", "ne")):
+        xy = rng.uniform(0, 60, (6000, 2)) + np.array([i % 2, i // 2]) * 60
+        las_of(tmp_path / "in" / f"{name}.laz", np.column_stack([xy, np.sin(xy[:, 0] / 20)]))
+    for name, at, much in (("se", 0.5, b""), ("nw", 0.5, bytes(range(1, 256)) * 20)):
+        place = tmp_path / "in" / f"{name}.laz"
+        content = place.read_bytes()
+        half = int(len(content) * at)
+        place.write_bytes(content[:half] + much + content[half + len(much) :] * bool(much))
+    made = run("products", tmp_path / "in", tmp_path / "out", "--filter", "pmf", "--only", "dtm,count", "--units", "m")
+    assert made.exit_code == 1 and all(f"{name}.laz" in made.stdout for name in ("se", "nw"))
+    page = (tmp_path / "out" / "survey.html").read_text()
+    about = run("info", tmp_path / "in", "--units", "m")
+    assert about.exit_code == 1 and all(f"{name}.laz" in text for name in ("se", "nw") for text in (page, about.stdout))
+    for name in ("dtm", "count"):
+        with rasterio.open(tmp_path / "out" / f"{name}.tif") as file:
+            known = file.read_masks(1)[::-1] > 0  # from the south
+        assert not known[5:55, 65:115].any() and not known[65:115, 5:55].any()
+        assert known[5:55, 5:55].all() and known[65:115, 65:115].all()
+
+
+def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path, monkeypatch):
     before, names = sorted(tmp_path.rglob("*")), ["east.las", "west.las"]
     how = {"tile": 80.0, "wide_halos": True, "workers": 1}
     runs = {
@@ -255,11 +289,13 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
         done = act()
         assert (plan.points, plan.tiles, sorted(plan.files)) == (done.points, done.tiles, done.files), name
         assert plan.times_read == pytest.approx(done.read / done.points, rel=0.25), "by mean densities of the files"
-        assert 0 < plan.seconds < 60 and plan.memory > 3e8 and plan.workers == 1 and done.forecast is None
+        assert 3 < plan.seconds < 60 and plan.memory > 3e8 and plan.workers == 1 and done.forecast is None
         assert name == "model" or [path.rsplit("/")[-1] for path in sorted(plan.files)] == names
         before = sorted(tmp_path.rglob("*"))
     with pytest.raises(jf.OutputError, match="exists"):
         runs["model"](dry_run=True)
+    monkeypatch.setattr(jf.OST, "__call__", lambda *_, **__: pytest.fail("a dry run filters nothing"))
+    assert jf.ground(survey, tmp_path / "ost", run=jf.RunOptions(dry_run=True)).forecast.points == plan.points
     assert runs["heights"](dry_run=True, overwrite=True, halo=60.0).forecast.times_read > 2
     result = completed("ground", "pmf", survey, tmp_path / "new", "--tile", 80, "--wide-halos", "--dry-run")
     assert "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import math
 import os
 import shutil
 import sys
@@ -105,7 +104,8 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(remark, times)
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
-    for one in report.left_out:
+    named = " ".join(session.warnings)
+    for one in (one for one in report.left_out if one["file"] not in named):
         session.warn(f"{one['file']} was left out, so that tiles beside it lack its points: {one['reason']}")
     for one in report.failed:
         session.warn(f"{one['file']} was not written: {one['reason']}")
@@ -115,6 +115,8 @@ def answer_of(files: Files, report: RunReport, text: str) -> Answer:
     """What a run has found, with lines on what it warned of and could not do."""
     tell(files.session, report)
     text = f"{files.output} {_COMPLETE}" if report.was_complete else text
+    if lost := list(dict.fromkeys(one["file"] for one in (*report.failed, *report.left_out))):
+        text += f"\n{count(len(lost), 'file')} not read, so that there is nothing where they lie: {', '.join(lost)}"
     return Answer(run_facts(files.session, report, files), text, complete=report.complete)
 
 
@@ -122,13 +124,11 @@ def plan_answer(plan: Forecast) -> Answer:
     """What a run would do."""
     each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"
     read = "" if plan.tiles == 1 else f", each point read {plan.times_read:.1f} times"
-    unknown = "unknown: the piece that was tried has no result"
-    time = unknown if math.isnan(plan.seconds) else f"about {_span(plan.seconds)}"
     more = ", ..." * (len(plan.files) > _FILES_LISTED)
     lines = [
         f"points  {plan.points:,} in {count(plan.tiles, 'tile')}{each}{read}",
         f"memory  {plan.memory / 1e9:.1f} GB for {count(plan.workers, 'worker')}",
-        f"time    {time}",
+        f"time    about {_span(plan.seconds)}, by the number of points and a rate; other machines differ by a factor of two",
         f"files   {len(plan.files):,} to write: {', '.join(plan.files[:_FILES_LISTED])}{more}",
         "nothing was written, since --dry-run was given",
     ]

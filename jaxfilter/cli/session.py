@@ -161,17 +161,23 @@ class Session:
         """An error as it is shown to the user; it is the last line of the log."""
         if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
             error = KeyboardInterrupt(Session.stopped_by)  # finalisers and decoders had swallowed it
+        # what goes to standard output is not kept, so that no advice on it helps
+        notes = [self.in_flags(note) for note in getattr(error, "__notes__", []) if self.pipe is None]
         if error is None:
             logger.info(f"done in {perf_counter() - self._start:.2f} s")
         elif isinstance(error, KeyboardInterrupt):
-            error.__notes__ = [self.in_flags(note) for note in getattr(error, "__notes__", [])]
+            error.__notes__ = notes
             logger.error("stopped by a signal")
         elif isinstance(error, click.ClickException):
             logger.error(error.format_message())
         elif isinstance(error, JaxfilterError):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error if self.debug else None)
             usage = isinstance(error, ParameterError) or not self._working
-            return error if self.debug else (BadUsage if usage else click.ClickException)(self.in_flags(str(error)))
+            return (
+                error
+                if self.debug
+                else (BadUsage if usage else click.ClickException)("; ".join([self.in_flags(str(error)), *notes]))
+            )
         elif isinstance(error, Exception):
             logger.error(f"{type(error).__name__}: {error}", exc_info=error)
             return error if self.debug else click.ClickException(" ".join(f"{type(error).__name__}: {error}".split()))

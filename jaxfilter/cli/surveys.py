@@ -33,8 +33,9 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Path | None, **options: Any) -> Answer:
     """Show points, extent, CRS, units, classes and echoes of a file.
 
-    For several files, a folder, a pattern or a virtual point cloud (.vpc), it prints a table from the headers alone. It also
-    lists overlaps, gaps, doubles, files that cannot be read, and mixed CRS or units.
+    For several files, a folder, a pattern or a virtual point cloud (.vpc), it prints a table from the headers and some points. It
+    also lists overlaps, gaps, doubles, files that cannot be read, and mixed CRS or units. The exit code is 1 if a file cannot be
+    read.
     """
     from ..files.disk import new_file
     from ..files.storage import place_of
@@ -54,6 +55,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         return Answer(about, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
     survey = open_survey(session, names, how)
     with session.step("check"):
+        survey = survey.probed()
         findings = survey.check()
     if vpc is not None:
         survey.to_vpc(vpc, overwrite=overwrite)
@@ -73,7 +75,8 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "findings": dataclasses.asdict(findings),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())]))
+    text = "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())])
+    return Answer(facts, text, complete=not findings.unreadable)
 
 
 def _plain(value: Any) -> str:

@@ -60,7 +60,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
 
     The ground is found again at these places and 4 m around them. verdicts.json beside the files lists the verdicts that were
     carried out; they are not carried out twice. Verdicts that contradict each other, that are no known word, or that lie
-    outside the data are listed and skipped. Then the exit code is 1.
+    outside the data are listed and skipped. The exit code is 1 if no verdict could be carried out.
     """
     from ..files.classes import Classes
     from ..reviews.survey import apply_survey

@@ -117,6 +117,8 @@ class Stated(NamedTuple):
             elif names := difference(self.crs, reference.crs):
                 other = f"the file states another CRS, {names[1]}"
                 raise InputError(f"{name}: {asked}: {other}: leave out crs=, since nothing is reprojected")
+            elif vertical(self.crs) and not vertical(reference.crs):
+                reference = _from_crs(self.crs, asked)  # it states heights as well
         return reference if self.units is None else dataclasses.replace(reference, units=self.units, problem=None)
 
 

@@ -23,7 +23,7 @@ from ..core.errors import InputError, OutputError, warn
 from ..core.inputs import COLUMN_TYPES
 from ..core.process import need_threads
 from ..core.reading import inside
-from ..core.units import PROJECTION, WKT
+from ..core.units import CRS_RECORDS, PROJECTION, WKT
 from .disk import CHANGED_SINCE, Bounds, opened
 from .guard import chunk_table, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
@@ -366,7 +366,7 @@ class Writer:
         header: of the file; its variable length records are copied.
         compressed: LAZ instead of LAS.
         extra: names and descriptions of float32 dimensions that are added.
-        crs: number and data of a record that is added.
+        crs: number and data of a record that takes the place of those that state a CRS.
     """
 
     def __init__(
@@ -453,7 +453,8 @@ class Writer:
 
 def _kept_records(header: Header, extra: dict[str, str], crs: tuple[int, bytes] | None) -> Iterator[bytes]:
     """The variable length records of an output, as bytes."""
-    kept = [record for record in without_octree(header, header.vlrs) if record.key != LASZIP]
+    dropped = {LASZIP, *(CRS_RECORDS if crs is not None else ())}
+    kept = [record for record in without_octree(header, header.vlrs) if record.key not in dropped]
     if extra:
         if (known := header.extra_dimensions()) is None:
             raise OutputError(f"{header.path}: the description of its extra bytes is damaged, so none can be added")

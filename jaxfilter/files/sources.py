@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import functools
 import math
+import struct
 from collections.abc import Iterable
 from typing import Any, cast
 
@@ -18,9 +19,10 @@ from ..core.errors import InputError
 from ..core.frame import ends
 from ..core.reading import Reading
 from ..core.units import NAMED_UNITS, NOTHING, Reference, Stated, Units, not_metric, sampled
-from .disk import Bounds
+from .disk import Bounds, opened
+from .header import HEADER_LENGTHS
 from .points import ALL, CLOUD, Handle, Points, coordinates, echo_keys, first_points, read_points
-from .reading import LasFile, kept_file
+from .reading import FARTHEST, LasFile, kept_file
 from .storage import Place, Remote, place_of
 from .text import TextFile, open_text
 
@@ -120,6 +122,16 @@ def describe_file(place: Place, stated: Stated = NOTHING, points: bool = False) 
     facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": reference.units or Units()}
     facts["wkt"] = None if reference.crs is None else reference.crs.to_wkt()
     return Source(str(place), count=count, identity=file.fingerprint, **facts)
+
+
+def stated_bounds(place: Place) -> Bounds:
+    """The bounds in the header of a LAS file of which nothing else may be readable; NaN where it states none."""
+    with contextlib.suppress(InputError, OSError, struct.error), opened(place) as (file, _):
+        head = file.read(HEADER_LENGTHS[0])
+        x1, x0, y1, y0 = struct.unpack_from("<4d", head, 179)
+        if head.startswith(b"LASF") and x0 <= x1 and y0 <= y1 and max(map(abs, (x0, x1, y0, y1))) < FARTHEST:
+            return x0, y0, x1, y1
+    return NO_BOUNDS
 
 
 def with_true_extent(source: Source) -> Source:

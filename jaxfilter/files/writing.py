@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -16,7 +17,7 @@ from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMN_TYPES
 from ..core.result import FilterResult
-from ..core.units import CRS_RECORDS, GEOKEYS, WKT, for_outputs, geokeys
+from ..core.units import CRS_RECORDS, GEOKEYS, WKT, for_outputs, geokeys, reference_of, vertical
 from . import copc
 from .classes import Classes, Found, asked, findings_of, table_of
 from .disk import Identity, new_file
@@ -231,7 +232,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if number < 6 and most > 31 and not header.upper:
         raise OutputError(
             f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
-            "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
+            "input to point format 6 or above first (laspy.convert(las, point_format_id=6)), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
     if wrong := [name for name, dimension in existing.items() if dimension.data_type not in FLOATS]:
@@ -278,15 +279,25 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
 
 
 def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
-    """Number and data of the record that states the CRS of a cloud whose file states none: WKT where LAS knows it, and else the
-    EPSG codes as GeoTIFF keys."""
-    crs = None if any(one.key in CRS_RECORDS for one in (*header.vlrs, *header.evlrs)) else for_outputs(cloud.crs)
-    if crs is None:
+    """Number and data of the record that states the CRS of a cloud whose file states none, or no heights: WKT where LAS knows
+    it, and else the EPSG codes as GeoTIFF keys."""
+    crs, stated = (
+        cloud.crs,
+        {one.key[1]: header.head[one.payload : one.end] for one in header.vlrs if one.key in CRS_RECORDS},
+    )
+    if stated or any(one.key in CRS_RECORDS for one in header.evlrs):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # reading has said it
+            same = vertical(crs) is None or vertical(reference_of(stated, str(path)).crs) is not None
+        if same or not stated:
+            return None
+    if (crs := for_outputs(crs)) is None or (stated and vertical(crs) is None):
         return None
     if header.version >= 4:
         return WKT, crs.to_wkt("WKT1_GDAL").encode() + b"\0"
     if (keys := geokeys(crs)) is None:
-        without = f"its CRS has no EPSG code, which LAS 1.{header.version} needs, and is left out"
+        lost = "the heights of its CRS have" if stated else "its CRS has"
+        without = f"{lost} no EPSG code, which LAS 1.{header.version} needs, and cannot be written"
         warn(f"{path}: {without}: convert the input to LAS 1.4")
         return None
     return GEOKEYS, keys

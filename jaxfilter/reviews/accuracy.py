@@ -33,6 +33,7 @@ from ..surveys.report import REPORT
 from ..surveys.survey import check_in_place
 from ..terrain.raster import Raster
 from .survey import LOG, Log, run_review
+from .verdicts import PLACE_RIM
 
 EDITIONS = {
     "2014": "ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 1, version 1.0, November 2014, section 7.4 "
@@ -94,12 +95,15 @@ def accuracy_statement(
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     name, notes = None if raster is model else str(model), list[str]()
     inner = _find_covered(name or "model", raster, collection)
-    made = _read_records(collection)
+    made, decided = _read_records(collection)
     points = None if checkpoints is None else _compare(Path(checkpoints), raster, collection, notes)
     if inner is not None:
         notes.append("the model covers a part of the files: points and places in its bounds count")
         reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
     report = run_review(collection, page, None, ground, reading, run)
+    open_places = [one for one in report.places if not decided.contains(shapely.Point(one["x"], one["y"]))]
+    if known := len(report.places) - len(open_places):
+        notes.append(f"{known} places where the terrain may be wrong have a verdict and do not count")
     cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
     km2 = cells * square / 1e6
     doubt = _sum_doubt(collection, inner)
@@ -113,8 +117,8 @@ def accuracy_statement(
             "ground": report.ground,
             "ground_per_m2": report.ground / max(cells * square, 1e-9),
             "expected_wrong_per_km2": None if doubt is None or not km2 else doubt / km2,
-            "named_places": len(report.places),
-            "named_m2": sum(place["area"] for place in report.places),
+            "named_places": len(open_places),
+            "named_m2": sum(place["area"] for place in open_places),
         },
         "model": {
             "file": name,
@@ -255,10 +259,11 @@ def _sum_doubt(collection: Collection, inner: Bounds | None) -> float | None:
     return total
 
 
-def _read_records(collection: Collection) -> dict[str, Any]:
-    """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them.
-    Raises: InputError for a damaged report."""
+def _read_records(collection: Collection) -> tuple[dict[str, Any], shapely.Geometry]:
+    """How the files were made, as far as the reports beside them say, and the places that were decided, with their rims; verdicts
+    are those on files that are as they left them. Raises: InputError for a damaged report."""
     found: dict[str, Any] = {"jaxfilter": __version__}
+    decided: list[shapely.Geometry] = []
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
         if (place := folder / REPORT).is_file():
             try:
@@ -270,9 +275,10 @@ def _read_records(collection: Collection) -> dict[str, Any]:
         if (folder / LOG).is_file():
             log = Log(folder / LOG, collection)
             own = {log.name_of(uri) for uri in collection.uris}
-            counts = Counter(one["verdict"] for one in log.entries if own & set(one["files"]))
-            found["verdicts"] = dict(sorted(counts.items()))
-    return found
+            entries = [one for one in log.entries if own & set(one["files"])]
+            found["verdicts"] = dict(sorted(Counter(one["verdict"] for one in entries).items()))
+            decided += [shapely.from_wkt(one["shape"]) for one in entries if "shape" in one]
+    return found, shapely.union_all(decided).buffer(PLACE_RIM / collection.metre)
 
 
 def _write(page: Path, facts: dict[str, Any]) -> None:

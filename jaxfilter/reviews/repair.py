@@ -26,6 +26,7 @@ from ..steps.seeds import lowest_on_grid, rising
 from ..surveys.tiles import inside, part_of
 from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of
+from ..terrain.models import heights_of
 from .verdicts import BRIDGE, FINE, GROUND, HALO, OBJECT, PLACE_RIM, WATER, VerdictSite, read_verdicts, sites_of
 
 BESIDE = 3 * SIDE
@@ -43,7 +44,8 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     verdict       what is done
     ============  ========================================================================================================
     ``ground``    the lowest points of cells of 2 m are ground as well, unless they stand on something steeper than terrain
-    ``object``    ground that sticks out of the plane of its neighbours by more than 0.5 m goes, from the outside inwards
+    ``object``    ground goes that sticks out of the plane of its neighbours by more than 0.5 m, and stands as much above the
+                  terrain that grows into the place from around it
     ``bridge``    no point is ground; points that were are marked as ``deck``
     ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
     ``fine``      nothing changes, here and where the rim of another place meets it
@@ -105,11 +107,11 @@ class Repair(NamedTuple):
 def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OST) -> Repair:
     """Carry out the verdicts of a site on the points of its window.
 
-    In an object and its rim, ground that sticks out of the plane of its neighbours by more than :data:`OFF` goes, from the
-    outside inwards, until none does. Points of a bridge are no ground. In water those near the plane of its lowest points are.
-    In ground the lowest points of cells are seeds as well. Then the ground grows by the rules of ``filter_`` through objects,
-    ground, and the rims of all places. In the rim of a bridge it must pass again. Points elsewhere, and those of places that
-    are fine, keep their labels.
+    In an object and its rim, ground goes that sticks out of the plane of its neighbours by more than :data:`OFF`, from the
+    outside inwards, until none does; but what is at most so far above the terrain that grows from around the rim stays. Points
+    of a bridge are no ground. In water those near the plane of its lowest points are. In ground the lowest points of cells are
+    seeds as well. Then the ground grows by the rules of ``filter_`` through objects, ground, and the rims of all places. In the
+    rim of a bridge it must pass again. Points elsewhere, and those of places that are fine, keep their labels.
 
     Args:
         cloud: n points, of the window. ground: bool[n]. filter_: with a ``spacing``, metres.
@@ -124,7 +126,9 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
     water = seeds & (word == WATER)
     if (places := word == GROUND).any():
         seeds[_find_seeds(points, places & ~filter_.bar(points).low, seeds)] = True
-    barred = _find_sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
+    among = (word == OBJECT) | (rim == OBJECT)
+    barred = _find_sticking_out(points, seeds, among)
+    barred &= _find_standing(points, seeds & ~among, among, filter_)
     seeds &= ~barred
     grows = (np.isin(word, (GROUND, OBJECT)) | (rim != "")) & ~barred
     now = _grow_through(points, seeds, grows, filter_) if grows.any() and has_area(points.xyz[seeds]) else seeds
@@ -227,6 +231,20 @@ def _find_sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) ->
     dropped |= ~rest[island] & (np.bincount(island, over[: len(first)])[island] > 0)
     out[rows] = dropped[of]
     return out
+
+
+def _find_standing(points: Points, seeds: np.ndarray, among: np.ndarray, filter_: OST) -> np.ndarray:
+    """bool[m]: those of the points ``among``, bool[m], that stand more than :data:`OFF` above the terrain that grows from
+    ``seeds``, bool[m], through them; all of them, if there is no such terrain."""
+    if not among.any() or not has_area(points.xyz[seeds]):
+        return among
+    terrain, rows = _grow_through(points, seeds, among, filter_), np.flatnonzero(among)
+    at = np.empty(len(points), np.int64)
+    at[points.member] = points.index
+    cloud, found = points.cloud, np.zeros(len(points), bool)
+    heights = heights_of(cloud, points.spread(terrain, False), at[rows], workers=1)
+    found[rows] = heights * cloud.units.z > OFF
+    return found
 
 
 def _grow_through(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_: OST) -> np.ndarray:

@@ -68,8 +68,8 @@ class VerdictReport(RunReport):
 
     @property
     def complete(self) -> bool:
-        """Whether every verdict was carried out, and every file written that it changes."""
-        return super().complete and not self.problems
+        """Whether every file was written that a verdict changes, and a verdict was carried out, unless there is none."""
+        return super().complete and not (self.problems and not self.applied and not self.before)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -237,6 +237,7 @@ class Log:
             self.broken = {name: words for name, words in found if words is not None}
             for one in facts["verdicts"]:  # what is used of it later is a point, words and names
                 shapely.Point(one["x"], one["y"])
+                shapely.from_wkt(one.get("shape"))
                 "".join((one["verdict"], one["key"], *one["files"]))
                 if files := [name for name in one["files"] if name not in self.broken]:
                     self.entries.append(one | {"files": files})
@@ -278,7 +279,14 @@ class Log:
         for one in verdicts:
             inner, area = one.shape.representative_point(), one.shape.area * self.collection.metre**2
             files = sorted({*self.files_of(one), *self._known.get(one.key, ())})
-            facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
+            facts = {
+                "verdict": one.word,
+                "place": one.name,
+                "x": inner.x,
+                "y": inner.y,
+                "area": area,
+                "shape": one.shape.wkt,
+            }
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})
         seals = {name: dataclasses.asdict(seal_file(parts.get(name, self.path.parent / name))) for name in names}

@@ -7,6 +7,7 @@ import functools
 import glob
 import math
 import os
+import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,7 +20,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.units import Stated, Units, vertical
 from ..files.disk import Bounds
-from ..files.sources import Source, describe_file, with_true_extent
+from ..files.sources import Source, describe_file, stated_bounds, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -27,6 +28,7 @@ from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
+    import shapely
 
 
 __all__ = ["Collection", "Source", "open"]
@@ -50,6 +52,8 @@ class Collection(tuple[Source, ...]):
 
     unreadable: tuple[tuple[str, str], ...]
     repeated: tuple[str, ...]
+    extent: Bounds | None = None
+    """Of :meth:`clipped` files: the bounds of all of them before."""
 
     def __new__(
         cls, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
@@ -193,9 +197,40 @@ class Collection(tuple[Source, ...]):
             elif bounds[0] <= bounds[2] and bounds[1] <= bounds[3]:
                 sources.append(dataclasses.replace(source, bounds=bounds))
         if not sources:
-            words, data = (", ".join(f"{v:.10g}" for v in one) for one in (box, self.bounds))
-            raise InputError(f"{self.name}: no point is in bounds {words}: pass other bounds= within {data}")
-        return Collection(sources, self.unreadable, self.repeated)
+            raise self.nothing_in(box)
+        made = Collection(sources, self.unreadable, self.repeated)
+        made.extent = self.bounds
+        return made
+
+    def nothing_in(self, box: Bounds) -> InputError:
+        """The error of bounds in which there is no point."""
+        words, data = (", ".join(f"{v:.10g}" for v in one) for one in (box, self.extent or self.bounds))
+        return InputError(f"{self.name}: no point is in bounds {words}: pass other bounds= within {data}")
+
+    def uncovered(self, names: Iterable[str]) -> shapely.Geometry | None:
+        """What files cover by their headers that cannot be read, and no other file covers; None if that is nothing."""
+        import shapely
+
+        lost = set(names)
+        boxes = np.array([stated_bounds(place_of(name)) for name in sorted(lost)]).reshape(-1, 4)
+        others = self.footprints[[source.count > 0 and source.uri not in lost for source in self]]
+        area = shapely.union_all(shapely.box(*boxes[np.isfinite(boxes).all(axis=1)].T))
+        area = area.difference(shapely.union_all(shapely.box(*others.T)))
+        return None if area.is_empty else area
+
+    def probed(self) -> Collection:
+        """The same files, without those that show damage where their first points and the tables of their chunks are read: these
+        are ``unreadable`` as well. Remote files, and those that only a .vpc describes, are not looked at."""
+        local = [source.uri if source.identity and "://" not in source.uri else source for source in self]
+        with ThreadPoolExecutor(_THREADS) as pool, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = list(pool.map(lambda entry: _source_of(entry, Stated(), True), local))
+        wrong = [one for one in found if not isinstance(one, Source)]
+        return Collection(
+            [source for source, one in zip(self, found, strict=True) if isinstance(one, Source)],
+            [*self.unreadable, *wrong],
+            self.repeated,
+        )
 
     @functools.cached_property
     def _index(self) -> Footprints:

@@ -92,7 +92,7 @@ def carried_out(
         for task, outcome in ended:
             running -= 1
             if outcome.full:
-                raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
+                raise OutputError(f"{outcome.reason}; make room on the disk, and repeat the command")
             if outcome.reason is not None and tries[task[:2]] < RETRIES:
                 tries[task[:2]] += 1
                 now.appendleft(task)

@@ -133,9 +133,9 @@ def refuse_mixture(sources: Iterable[Source]) -> None:
     systems: list[tuple[str, pyproj.CRS]] = []
     for (wkt, other), uri in kinds.items():
         if (other.xy, other.z) != (unit.xy, unit.z):
+            stated = ", or pass units= if one states its unit wrongly" * (len({wkt for wkt, _ in kinds} - {None}) < 2)
             raise InputError(
-                f"{named} is in {unit}, {uri} in {other}: files of different units cannot be run together; convert one, or "
-                "pass units= if one states its unit wrongly"
+                f"{named} is in {unit}, {uri} in {other}: files of different units cannot be run together; convert one{stated}"
             )
         if wkt is not None:
             crs = pyproj.CRS.from_wkt(wkt)

@@ -154,6 +154,8 @@ def ground(
     """
     recipe = recipe_of(filter_)
     recipe.alone()  # what is wrong with parameters is said before anything is read
+    if "doubt" in (extra := check_extra(extra)) and recipe.method is not None and not recipe.method.DOUBTS:
+        raise ParameterError(f"extra={extra!r}: the method states no doubt; OST does")
     listed, outlined = (None if one is None else Path(one) for one in (review, breaklines))
     for path in (listed, outlined):
         if path is not None:
@@ -165,7 +167,7 @@ def ground(
         reading=survey.reading,
         halo=run.halo,
         classes=classes,
-        extra=check_extra(extra),
+        extra=extra,
         review=listed,
         water=WaterWanted(path=outlined),
         into_text=all(place.suffix.lower() in TEXT for place in survey.targets.places),

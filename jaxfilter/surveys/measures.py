@@ -122,7 +122,8 @@ class Sampler:
         for number in files:
             with contextlib.suppress(InputError):
                 window = read_window(self.collection[number], box, self.reading)
-                clouds.append(dataclasses.replace(window.cloud, source=None))
+                if len(window.cloud):  # the origin of a cloud without points is anywhere
+                    clouds.append(dataclasses.replace(window.cloud, source=None))
         return clouds
 
     @functools.cached_property

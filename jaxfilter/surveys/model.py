@@ -65,7 +65,7 @@ class RasterProduct(GroundNeeded):
 
     Attributes:
         grid: of all rasters; layers: what they show; interpolation: of heights between ground points.
-        water: how tiles come to know of it.
+        water: how tiles come to know of it. lost: files that are not among those of the ground, since they cannot be read.
     """
 
     REPORT = TerrainReport
@@ -73,6 +73,7 @@ class RasterProduct(GroundNeeded):
     layers: tuple[Layer, ...]
     interpolation: Interpolation
     water: WaterWanted
+    lost: tuple[str, ...] = ()
 
     def cut(self) -> Cut:
         """Tiles that cover what is near ground as well."""
@@ -134,10 +135,8 @@ class RasterProduct(GroundNeeded):
         if not report.ground:
             more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
             raise self._nothing(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
-        x0, y0, x1, y1 = common(self.grid.bounds, self.data)
-        if (x0 > x1 or y0 > y1) and not self.interpolation.fill:
-            box, data = (", ".join(f"{v:.10g}" for v in one) for one in (self.grid.bounds, self.data))
-            raise self._nothing(f"{collection.name}: no point is in bounds {box}: pass other bounds= within {data}")
+        reason = "it could not be read before, and what it covers has no value"
+        report.left_out += [{"file": name, "reason": reason} for name in self.lost]
         grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
         list_water(self, report, collection, self.water, replace)
         report.rows, report.columns, report.transform = *grid.shape, grid.transform
@@ -167,6 +166,7 @@ class RasterProduct(GroundNeeded):
     def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
         levels, units = report.water if self.interpolation.level_water else None, collection.units
+        lost = collection.uncovered(one["file"] for one in (*report.failed, *report.left_out))
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
         def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
@@ -181,6 +181,10 @@ class RasterProduct(GroundNeeded):
                     made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
                     made = packed(made[wide.slices(own)], layer.KIND, layer.NODATA)
                     values = np.where(within(self.reading.aoi, *np.meshgrid(*own.centres())), made, values)
+                if lost is not None:
+                    values = np.where(
+                        within(lost, *np.meshgrid(*own.centres())), values.dtype.type(layer.NODATA), values
+                    )
                 yield own, values
 
         def check(known: int) -> None:
@@ -190,7 +194,9 @@ class RasterProduct(GroundNeeded):
             why = f"too few points are near the middle of one: pass a larger {gap}, or pass a smaller cell="
             if report.set_aside:
                 why = report.set_aside[0]["reason"]
-            raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
+            box, data = (", ".join(f"{v:.10g}" for v in one) for one in (self.grid.bounds, self.data))
+            where = f"in bounds {box}, of data within {data},"
+            raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} {where} has a value: {why}")
 
         profile = profile_of(self.grid.shape, self.grid.transform, collection.crs, layer.KIND, layer.NODATA)
         return write_mosaic(place, self.grid, profile, parts, overwrite=replace, check=check)
@@ -245,12 +251,13 @@ def terrain_model(
 @dataclasses.dataclass(frozen=True)
 class Rasters:
     """Layers to be made: ``places`` says where each goes, several of them in one folder. ``water``: how they come to know of it;
-    the others are those of :func:`terrain_model`."""
+    ``lost``: files that could not be read before, whose places have no value; the others are those of :func:`terrain_model`."""
 
     places: Mapping[Layer, Place]
     cell: float = 1.0
     interpolation: Interpolation = Interpolation()
     water: WaterWanted = WaterWanted()
+    lost: tuple[str, ...] = ()
 
 
 def make_rasters(
@@ -269,6 +276,10 @@ def make_rasters(
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
     if not collection.count:
         raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")
+    if bounds is not None and not interpolation.fill:
+        x0, y0, x1, y1 = common(bounds, collection.bounds)
+        if x0 > x1 or y0 > y1:
+            raise collection.nothing_in(bounds)
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
@@ -281,6 +292,7 @@ def make_rasters(
         grid=grid,
         layers=layers,
         interpolation=interpolation,
+        lost=rasters.lost,
         water=water if interpolation.level_water or water.path is not None else WaterWanted(False),
     )
     return carry_out(survey, product)

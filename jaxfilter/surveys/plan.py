@@ -95,6 +95,12 @@ class Where:
         return float(self.points[rows] @ np.clip(share, 0, 1).prod(axis=1))
 
     @property
+    def spacing(self) -> float | None:
+        """Mean distance of points, metres, about; None if there are none."""
+        area = float((self.high - self.low).prod(axis=1).sum()) * self.metre**2
+        return math.sqrt(area / self.points.sum()) if area and self.points.any() else None
+
+    @property
     def fills(self) -> bool:
         """Whether the points fill their extent so far that they can be one tile, if they are few enough."""
         return not len(self.points) or self.fill(np.arange(len(self.points)))

@@ -18,7 +18,7 @@ from ..core.points import has_area
 from ..core.reading import Reading
 from ..files.classes import Found
 from ..files.sources import Source, file_cloud
-from ..files.storage import Place
+from ..files.storage import Place, place_of
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
@@ -123,6 +123,11 @@ class Product:
 
     def complete(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Complete the report of a run whose tiles are done. Raises: as :meth:`finish`."""
+        if self.reading.bounds is not None and collection.count and not report.points and not report.left_out:
+            for place in map(place_of, report.files):  # they have no points
+                place.unlink() if isinstance(place, Path) else place.remove()
+            self.store.discard()
+            raise collection.nothing_in(self.reading.bounds)
         report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
         report.total.classes = Counter(dict(sorted(report.total.classes.items())))
         if self.filter is not None:

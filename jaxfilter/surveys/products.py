@@ -115,20 +115,31 @@ def products(
             classified = act(run=anew)
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
-    if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell), source, reading=reading, run=run)
+    if run.dry_run:
+        known = reading.aoi is None and classified is not None  # around an area the rasters look for the ground again
+        tried = make_rasters(what, Rasters(outputs, cell), (2,) if known else source, reading=reading, run=run)
+        if classified is not None and classified.forecast is not None and tried.forecast is not None:
+            seconds = classified.forecast.seconds + tried.forecast.seconds
+            tried.forecast = tried.forecast._replace(seconds=seconds)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
+    lost = [] if classified is None else [*classified.failed, *classified.left_out]
+    left_out: tuple[str, ...] = ()
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
-        what = classified.files
+        what, left_out = classified.files, tuple(dict.fromkeys(one["file"] for one in lost))
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    rasters = make_rasters(what, Rasters(outputs, cell, water=water), source, reading=reading, run=anew)
+    made_of = Rasters(outputs, cell, water=water, lost=left_out)
+    rasters = make_rasters(what, made_of, source, reading=reading, run=anew)
+    for remark in [one for one in rasters.remarks if one.startswith(f"{folder / CLASSIFIED}")]:
+        del rasters.total.remarks[remark]  # it was said of the input
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
-    figures = zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)
+    figures = [*zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)]
+    why_lost = {place_of(one["file"]).name: one["reason"] for one in (*rasters.left_out, *lost)}
+    figures += [("not read, so that nothing is known there", f"{name}: {why}") for name, why in why_lost.items()]
     write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)

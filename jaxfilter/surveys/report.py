@@ -85,13 +85,13 @@ def _plain(value: Any) -> Any:
 
 
 class Forecast(NamedTuple):
-    """What a run would do. Of the largest tile ``memory`` is made, and of a piece ``seconds``: both are estimates.
+    """What a run would do, by the headers of the files. The largest tile decides on ``memory``; ``seconds`` are those of
+    the points that are read, at a rate that was measured for the method on a server. Both are estimates.
 
     Attributes:
         points: of the files; tiles: number of them; side, halo: metres, NaN of a run in one piece.
         times_read: how many times each point is read, halos included.
-        workers: processes, or threads of a run in one piece; memory: bytes for all of them; seconds: until it ends, NaN if the
-            piece could not be tried.
+        workers: processes, or threads of a run in one piece; memory: bytes for all of them; seconds: until it ends.
         files: that would be written.
     """
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.version import __version__
@@ -33,13 +33,16 @@ from .measures import Sampler, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Plan, Where, plan_tiles, where_of
 from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, sees_lowest, write_file
-from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
+from .report import TILE, Forecast, RunReport, Standing, Summary
 from .store import written
 from .survey import Survey
-from .tiles import Tile, read_tile
+from .tiles import Tile, joined, read_tile
 
-TRIED = 300_000
-"""Points of the piece that a forecast tries, about."""
+_RATES = {"OST": 4.0, "PPDF": 4.0, "CSF": 2.0, "MSF": 2.0, "PMF": 2.0, "SMRF": 2.0, "NoneType": 1.0}
+"""CPU seconds for a million points that are read, by filter, writing included, on a core of a server (experiments/tiling and
+experiments/bench); :data:`_OTHER` for those that are not listed."""
+_OTHER, _START = 3.0, 3.0
+"""The second: seconds until the first tile begins."""
 _TOO_OFTEN = 3.0
 """Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.5 times."""
 _WAIT = 0.25  # seconds between looks at the progress
@@ -86,7 +89,7 @@ class TiledSurvey(Survey):
                 written = store.done or (not targets.in_place and any(map(is_there, targets.places)))
                 if len(plan) == 1 and not written:  # there is nothing to go on with
                     targets.discard()
-                elif isinstance(error, KeyboardInterrupt):
+                elif isinstance(error, (KeyboardInterrupt, OutputError)):
                     error.add_note("pass resume=True to go on")
                 raise
             if targets.folder is None:
@@ -108,16 +111,18 @@ class TiledSurvey(Survey):
         return None
 
     def _forecast(self, product: Product) -> RunReport:
-        """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
+        """A report with nothing but the forecast: files are counted and cut into tiles by their headers. No point is filtered;
+        what depends on points is set by their density."""
         self.targets.check(self.options)
-        collection, options, nan = self.collection, self.options, math.nan
-        product, plan = self._planned(product)
-        each = _seconds_per_point(product, plan, collection)
+        collection, options, nan, recipe = self.collection, self.options, math.nan, self.recipe
+        filter_ = None if recipe is None else recipe.on(joined([], Whole(self.where.spacing)))
+        plan = self._plan(dataclasses.replace(product, filter=filter_).cut())
         many, times, workers = not plan.whole, plan.times_read(collection.count), workers_for(options, plan.points)
         area = np.median((plan.cores[:, 2:] - plan.cores[:, :2]).prod(axis=1)) if many and len(plan) else nan
         side, halo = (math.sqrt(area) * collection.metre, plan.halo) if many else (nan, nan)
         memory = need(plan.points.max(initial=0.0)) * (workers if many else 1)
-        seconds = each * collection.count * times / min(workers, len(plan))
+        rate = _RATES.get(type(filter_).__name__, _OTHER) * 1e-6
+        seconds = _START + rate * collection.count * times / max(1, min(workers, len(plan)))
         files = [str(place) for place in self.targets.places]
         found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
         return product.REPORT(forecast=found)
@@ -206,27 +211,6 @@ class TiledSurvey(Survey):
                     f"{source.uri}: was changed while the run was at work, and no input was replaced: pass overwrite=True to "
                     "begin anew"
                 )
-
-
-def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
-    """Of the tile in the middle of all by their points, without compilation: of two trials the faster counts."""
-    if not collection.count:
-        return 0.0
-    number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
-    tile = tile_of(plan, collection, number, patient=True)
-    low, high = np.array(collection.bounds if tile.window is None else tile.window).reshape(2, 2)
-    middle, half = (low + high) / 2, math.sqrt(min(1.0, TRIED / max(plan.points[number], 1.0))) * (high - low) / 2
-    part = (*(middle - half).tolist(), *(middle + half + 0.001 / collection.metre).tolist())
-    tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
-    for _ in range(2):
-        start = time.perf_counter()
-        try:
-            with collected_warnings():
-                _, summary = product.tile(tile)
-        except InputError:  # a piece in which nothing can be made, such as a lake
-            return math.nan
-        best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
-    return best
 
 
 @dataclasses.dataclass
