@@ -67,9 +67,9 @@ CASES = {  # a command; words of what it says; and what is added to it, or put i
     "no output": (f"ground pmf utm.las {PMF}", "or pass --in-place", "--in-place"),
     "overwrite a folder": (f"ground pmf in full {PMF}", "or pass --overwrite to begin anew", "--overwrite"),
     "overwrite a raster": ("dtm labelled.las there.tif -q", "pass --overwrite", "--overwrite"),
-    "resume products": ("products labelled.las had --classified 2 --only dtm -q", "or pass --resume to go on", "--resume"),
-    "overwrite products": ("products labelled.las had --classified 2 --only dtm -q", "pass --overwrite", "--overwrite"),
-    "overwrite what is complete": ("ground pmf utm.las there.las --resume", "--overwrite makes it anew",
+    "resume products": ("products labelled.las had --ground-class 2 --only dtm -q", "or pass --resume to go on", "--resume"),
+    "overwrite products": ("products labelled.las had --ground-class 2 --only dtm -q", "pass --overwrite", "--overwrite"),
+    "overwrite what is complete": ("ground pmf utm.las there.las --resume", "Pass --overwrite",
                                    "--resume > --overwrite"),
     "stray points": (f"ground pmf stray.las out.las {PMF} --units m", "or pass --bounds to read", "--bounds 0 0 60 60"),
     "other bounds": (f"ground pmf utm.las out.las {PMF} --bounds 900 900 990 990", "pass other --bounds within",
@@ -116,7 +116,7 @@ def test_what_a_message_advises_is_done(made, tmp_path, monkeypatch, name):
         run("ground", "pmf", "utm.las", "there.las", "-q")
         run("dtm", "labelled.las", "there.tif", "-q", "--units", "m")
     if "had" in line:
-        run("products", "labelled.las", "had", "--classified", 2, "--only", "dtm", "-q")
+        run("products", "labelled.las", "had", "--ground-class", 2, "--only", "dtm", "-q")
     if "swept" in line:
         run("sweep", "pmf", "labelled.las", "swept", "--axis", "slope=.5,1")
     first = run(*shlex.split(line))
