@@ -36,6 +36,19 @@ PLACES = 8
 """Places of the grid, for each sample."""
 ALL, CORE = "all rules", "the core alone"
 RULE = "all rules but "
+WHAT = {
+    "clusters": ("airborne", "bars false echoes in clusters"),
+    "strays": ("airborne", "bars lone ones on slopes, under plants"),
+    "pits": ("drone, photographs", "bars wrong matches in small pits"),
+    "voids": ("airborne, drone", "lowers surfaces across voids: roofs at water stand out"),
+    "halls": ("all", "joins segments of roofs of several levels"),
+    "steep": ("all", "keeps bare cliffs, which openings cut, and overhangs"),
+    "embankments": ("airborne, drone", "keeps dikes, which openings cut"),
+    "crossings": ("airborne, drone", "finds water and decks, which look like land"),
+    "plants": ("airborne, drone", "drops seeds and vertices on plants"),
+    "ramps": ("photographs, cars", "drops seeds beside objects and voids, where walls are ramps"),
+}
+"""By rule the clouds that it is for, and what it does, and why."""
 STEPS: dict[str, dict[str, Any]] = {
     "1 without low points": {"low_points": 0},
     "4 one slope for all landscapes": {"relief": 0.0, "slope": 0.15},
@@ -168,6 +181,7 @@ def page(table: pd.DataFrame) -> str:
         "the time of the filter relative to that of all rules, summed over the clouds, without reading and compiling. "
         f"Samples are filtered with grids from {PLACES} random points each.",
     ]  # fmt: skip
+    text += ["## What a rule gives", summary(table)]
     for name in dict.fromkeys(table["set"]):
         means = kinds.loc[name].groupby("variant", sort=False).mean()  # kinds count alike
         spent = table[table["set"] == name].groupby("variant", sort=False)["cpu"].sum()
@@ -182,6 +196,22 @@ def page(table: pd.DataFrame) -> str:
     names = {kind: part["cloud"].nunique() for kind, part in table.groupby("kind", sort=False)}
     text.append("Clouds: " + ", ".join(f"{kind} {number}" for kind, number in names.items()) + ".")
     return "\n\n".join(text)
+
+
+def summary(table: pd.DataFrame) -> str:
+    """A row for each rule: points of total error, and of cells that are off, that it saves on labelled clouds and on scenes, and
+    its share of the time. All kinds of clouds count alike."""
+    kinds = table.assign(scene=~table["kind"].isin(SETS)).groupby(["scene", "kind", "variant"])[["total", "off"]].mean()
+    means, spent = kinds.groupby(["scene", "variant"]).mean(), table.groupby("variant")["cpu"].sum()
+    rows = []
+    for name, (sensors, words) in WHAT.items():
+        saved = [means.loc[scene, RULE + name] - means.loc[scene, ALL] for scene in (False, True)]
+        labelled, scenes = (f"{one['total']:.2f}/{one['off']:.2f}" for one in saved)
+        cost = f"{100 * (1 - spent[RULE + name] / spent[ALL]):.0f}"
+        rows.append(
+            {"rule": name, "clouds": sensors, "what": words, "labelled": labelled, "scenes": scenes, "cost": cost}
+        )
+    return markdown([(key, key if key != "cost" else "cost, %", "") for key in rows[0]], rows)
 
 
 def _shown(table: pd.DataFrame, forms: dict[str, str]) -> str:
