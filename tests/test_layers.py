@@ -178,7 +178,9 @@ def test_voids_are_far_from_every_ground_point(wood):
     cloud, truth = wood
     raster = jf.voids.replace(distance=4.0)(cloud, truth, cell=3.0)
     nearest, _ = cKDTree(cloud.coordinates()[truth, :2]).query(centres(raster).reshape(-1, 2))
-    np.testing.assert_array_equal(raster.values.ravel(), nearest > 4.0)
+    known = np.isfinite(raster.values.ravel())
+    np.testing.assert_array_equal(raster.values.ravel()[known], nearest[known] > 4.0)
+    assert known.mean() > 0.8
     assert (jf.voids(cloud, np.zeros(len(cloud), bool)).values == 1).all()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import geopandas
 import numpy as np
 import pytest
@@ -58,14 +60,15 @@ def test_a_river_falls_along_its_course_and_is_level_across():
 
 def test_a_level_river_has_one_height_and_land_is_as_it_was():
     cloud = valley(0.0)
-    model, raw = jf.dtm(cloud), jf.dtm(cloud, level_water=False)
+    model, raw = jf.dtm(cloud), jf.dtm(cloud, level_water=False, max_edge=math.inf)
     (outline,) = jf.breaklines(cloud).itertuples()
     x, y = np.meshgrid(*model.centres())
     inside = shapely.contains_xy(outline.geometry, x, y)
     outside = ~shapely.intersects_xy(outline.geometry, x, y)
     assert outline.fall == 0 and abs(outline.elevation - 100) < 0.01
     assert np.unique(model.values[inside]).tolist() == [np.float32(outline.elevation)]
-    np.testing.assert_array_equal(model.values[outside], raw.values[outside])
+    land = outside & np.isfinite(model.values)
+    np.testing.assert_array_equal(model.values[land], raw.values[land])
     assert np.nanstd(raw.values[inside]) > 0.01
     canopy = jf.chm.replace(gap=20.0)(cloud)
     surface = jf.dsm.replace(gap=20.0)(cloud)

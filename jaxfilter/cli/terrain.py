@@ -43,9 +43,17 @@ CELL = [
         "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
 ]
+_GAP = option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float)
+_LARGEST_EDGE = option(
+    "--max-edge",
+    "The model ends where ground points at its edge are farther apart, in metres; inf: at their hull.  [default: 5 m and 3 "
+    "times their spacing]",
+    float,
+)
 _MODEL = [
     option("--method", "Interpolation: tin, natural, idw or kriging.", default="tin"),
-    option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float),
+    _GAP,
+    _LARGEST_EDGE,
     option("--fill", "Give cells outside the hull of the ground points a height too.", bool),
     option("--neighbours", "Number of nearest ground points that idw and kriging use.", int, default=12),
     option("--power", "Power of the distance that idw uses.", float, default=2.0),
@@ -133,6 +141,12 @@ def _cells(report: TerrainReport, side: str) -> str:
     *READING,
     PRESET_OF_CLASSES,
     option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
+    _GAP,
+    _LARGEST_EDGE,
+    option("--interval", "Difference of elevation between contours, in units of Z.", float, default=1.0),
+    option(
+        "--azimuth", "Where the light of the hillshade comes from, degrees from north to east.", float, default=315.0
+    ),
     option("--only", f"What is made, with commas between: {','.join(LAYERS)}.  [default: everything]", "NAMES"),
     *CELL,
     BREAKLINES,
@@ -150,6 +164,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     """
     from ..files.classes import Classes
     from ..surveys.products import products as make_products
+    from ..terrain.interpolation import Interpolation
 
     recipe, classes, known = take_recipe(options), take_classes(options), options["classified"]
     if recipe is not None and known:
@@ -165,6 +180,8 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     files = open_files(session, names, options)
     cell, side = _side(files, options)
     how = {"only": only, "cell": cell, "classes": classes, "breaklines": options["breaklines"]}
+    how |= {name: options[name] for name in ("interval", "azimuth")}
+    how["interpolation"] = Interpolation(max_gap=options["max_gap"], max_edge=options["max_edge"])
     made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast
     if plan is not None:

@@ -21,6 +21,7 @@ from ..files.disk import Bounds, check_suffix
 from ..files.storage import Place, place_of
 from ..files.vectors import write_features
 from ..terrain.contours import Contours, contour_tables
+from ..terrain.edge import Edge, EdgeRule, Part
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import BED, water_of
@@ -38,9 +39,8 @@ from .survey import Survey, open_files
 from .targets import Targets
 from .tiles import LOCAL, Tile
 
-_CORNER = f"{KEPT}corner"
-_WIDE = f"{KEPT}wide_"
-"""Begins the names of layers with a ring of cells, out of which others are made anew where they meet water."""
+_GRIDS, _NEAR, _CIRCLE, _COUNT = (f"{KEPT}{name}" for name in ("grids", "near", "circle", "points"))
+"""Names of the arrays of a :class:`Part`: columns and rows of its grids, and the others."""
 
 
 @dataclasses.dataclass
@@ -80,12 +80,23 @@ class RasterProduct(GroundNeeded):
 
     @property
     def reach(self) -> float:
-        """As far as the layers look."""
-        return max(layer.cells.reach(self.grain) for layer in self.layers)
+        """As far as the layers look, and the disc that finds the edge."""
+        looks = (layer.reach(self.grain) for layer in self._bases)
+        return max(*looks, 2 * (self._edge.limit + self.grain) - HALOS[0], 0.0)
+
+    @property
+    def _bases(self) -> list[Layer]:
+        """The layers out of whose cells all others are made, each once."""
+        cells = (layer.cells for layer in self.layers)
+        return list(dict.fromkeys(part for layer in cells for part in layer.parts or (layer,)))
+
+    @property
+    def _edge(self) -> EdgeRule:
+        return EdgeRule(self.grid, self.grain / self.grid.cell, self.data, self.interpolation.max_edge)
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
-        """Values of the cells of a tile. Raises: InputError."""
-        summary, whole = Summary(), self.grid
+        """Values of the cells of a tile, and of a ring around them. Raises: InputError."""
+        summary, whole, arrays = Summary(), self.grid, dict[str, np.ndarray]()
         grid = wide = whole
         if tile.core is not None:
             ring = np.array([-whole.cell, -whole.cell, whole.cell, whole.cell])  # hillshade looks at it
@@ -93,7 +104,6 @@ class RasterProduct(GroundNeeded):
         if wide.rows * wide.columns > MAX_CELLS:
             cells = f"{wide.rows:,} x {wide.columns:,} cells, more than {MAX_CELLS:,}"
             raise InputError(f"cell={whole.cell:g}: a tile has {cells}: pass a larger cell=, or pass a smaller tile=")
-        arrays: dict[str, np.ndarray] = {_CORNER: np.array([dataclasses.astuple(one)[1:] for one in (grid, wide)])}
         for found in self.surroundings(tile, summary):
             around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
             own = around.own
@@ -103,22 +113,22 @@ class RasterProduct(GroundNeeded):
             threads, usable = LOCAL.get().threads, found.usable
             # A triangle is that of the whole if the circle through its corners holds no place that has data and was not read.
             strict = found.near is None and bool(usable.any())
-            site = Site(around.cloud, usable, wide, noise, self.interpolation, threads, doubt.look, strict)
-            wanted = within(self.reading.aoi, *np.meshgrid(*grid.centres()))
-            for layer in _cells(self.layers):
-                values = site.of(layer)[wide.slices(grid)]
-                values = np.where(wanted, values, np.float32(np.nan))
-                arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
-            water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
-            arrays |= kept_water(around.cloud, water, tile)
-            if self.interpolation.level_water and (water is not None or self.water.known):
-                made_of = {part for layer in _cells(self.layers) if Dtm() in layer.parts for part in layer.parts}
-                arrays |= {_WIDE + part.NAME: site.of(part) for part in made_of}
+            how = self.interpolation
+            site = Site(around.cloud, usable, wide, noise, how, threads, doubt.look, strict, ends=False)
+            arrays = {KEPT + layer.NAME: site.of(layer) for layer in self._bases}
             summary.seconds["interpolate"] += time.perf_counter() - start
             unknown = doubt.reaches and not doubt.looked and any(layer.SURFACE for layer in self.layers)
             doubtful = grid.rows * grid.columns if unknown else doubt.count
             if not doubtful:
                 break
+        if arrays:
+            part = site.part_of(self._edge, grid, wide)
+            arrays |= {_GRIDS: np.array([dataclasses.astuple(one)[1:] for one in part[:3]])}
+            if self.interpolation.ends:
+                arrays |= {_NEAR: part.near, _COUNT: np.array(part.count)}
+                arrays |= {} if part.circle is None else {_CIRCLE: part.circle}
+            water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
+            arrays |= kept_water(around.cloud, water, tile)
         summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful if len(own) else 0
         return arrays, summary
 
@@ -140,18 +150,21 @@ class RasterProduct(GroundNeeded):
             raise self._nothing(f"{collection.name}: no point is in bounds {box}: pass other bounds= within {data}")
         grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
         list_water(self, report, collection, self.water, replace)
+        levels, edge = report.water if self.interpolation.level_water else None, None
+        if self.interpolation.ends:
+            edge = self._edge.find(lambda: self._parts(report), levels)
         report.rows, report.columns, report.transform = *grid.shape, grid.transform
         report.bounds = grid.bounds
         places: dict[Layer, Place] = dict(zip(self.layers, targets.places, strict=True))
         rasters = {layer: place for layer, place in places.items() if layer.cells == layer}
-        known = [self._write(layer, place, report, collection, replace) for layer, place in rasters.items()]
+        known = [self._write(layer, place, report, collection, edge, replace) for layer, place in rasters.items()]
         for layer in self.layers:
             if isinstance(layer, Contours):
                 with tempfile.TemporaryDirectory(prefix="jaxfilter-", dir=self.store.path) as folder:
                     model = rasters.get(layer.cells)
                     if not isinstance(model, Path):
                         model = Path(folder) / "model.tif"
-                        known.append(self._write(layer.cells, model, report, collection, True))
+                        known.append(self._write(layer.cells, model, report, collection, edge, True))
                     tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
                     if not len(first := next(tables)):
                         level = f"no height is a multiple of interval={layer.interval:g}"
@@ -164,24 +177,30 @@ class RasterProduct(GroundNeeded):
         report.files = [str(place) for place in targets.places]
         report.total.seconds["write"] += time.perf_counter() - start
 
-    def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
+    def _parts(self, report: RunReport) -> Iterator[Part]:
+        """What the tiles say of the edge."""
+        for stored in self.kept(report, (_GRIDS, _NEAR, _COUNT, _CIRCLE)):
+            own, wide, around = self._grids(stored)
+            yield Part(own, wide, around, stored[_NEAR], int(stored[_COUNT]), stored.get(_CIRCLE))
+
+    def _grids(self, stored: Mapping[str, np.ndarray]) -> Iterator[RasterGrid]:
+        return (RasterGrid(self.grid.cell, *cells) for cells in stored[_GRIDS].tolist())
+
+    def _write(
+        self, layer: Layer, place: Place, report: RunReport, collection: Collection, edge: Edge | None, replace: bool
+    ) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
         levels, units = report.water if self.interpolation.level_water else None, collection.units
-        anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
+        bases = layer.parts or (layer,)
 
         def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
-            names = [_WIDE + part.NAME for part in anew]
-            for stored in self.kept(report, (_CORNER, KEPT + layer.NAME, *names)):
-                if KEPT + layer.NAME not in stored:
-                    continue
-                own, wide = (RasterGrid(self.grid.cell, *cells) for cells in stored[_CORNER].tolist())
-                values = stored[KEPT + layer.NAME]
-                if levels is not None and names and names[0] in stored:
-                    known = {part: stored[name] for part, name in zip(anew, names, strict=True)}
-                    made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
-                    made = packed(made[wide.slices(own)], layer.KIND, layer.NODATA)
-                    values = np.where(within(self.reading.aoi, *np.meshgrid(*own.centres())), made, values)
-                yield own, values
+            for stored in self.kept(report, (_GRIDS, *(KEPT + base.NAME for base in bases))):
+                if _GRIDS in stored:
+                    own, wide, _ = self._grids(stored)
+                    known = {base: base.bounded(stored[KEPT + base.NAME], wide, edge, levels) for base in bases}
+                    values = layer.made_of(known, wide, units)[wide.slices(own)]
+                    wanted = within(self.reading.aoi, *np.meshgrid(*own.centres()))
+                    yield own, packed(np.where(wanted, values, np.float32(np.nan)), layer.KIND, layer.NODATA)
 
         def check(known: int) -> None:
             if known:
@@ -199,11 +218,6 @@ class RasterProduct(GroundNeeded):
         """The error of a product without values, which leaves nothing to go on with."""
         self.store.discard()
         return InputError(why)
-
-
-def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
-    """The layers whose cells are needed, each once."""
-    return list(dict.fromkeys(layer.cells for layer in layers))
 
 
 def terrain_model(

@@ -15,6 +15,7 @@ from ..files.classes import Classes
 from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES
+from ..terrain.interpolation import Interpolation
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
@@ -51,6 +52,9 @@ def products(
     *,
     only: Iterable[str] | None = None,
     cell: float = 1.0,
+    interpolation: Interpolation = Interpolation(),
+    interval: float = 1.0,
+    azimuth: float = 315.0,
     reading: Reading = Reading(),
     classes: Classes = Classes(),
     breaklines: str | Path | None = None,
@@ -69,6 +73,8 @@ def products(
             as in :func:`jaxfilter.heights`, and then no files are classified.
         only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
         cell: side of the cells of rasters, in file units.
+        interpolation: of heights between ground points, see :class:`Interpolation`.
+        interval: of contour lines, in units of Z; azimuth: of the light of the hillshade, degrees.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
             terrain is level, see :func:`jaxfilter.breaklines`.
@@ -89,7 +95,8 @@ def products(
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     if isinstance(folder, Path) and folder.is_file():
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
-    layers = [entry.kind() for name, entry in LAYERS.items() if name in names]
+    settings = {"contours": {"interval": interval}, "hillshade": {"azimuth": azimuth}}
+    layers = [entry.kind(**settings.get(name, {})) for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)
     if outlined is not None:
@@ -116,7 +123,7 @@ def products(
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell), source, reading=reading, run=run)
+        tried = make_rasters(what, Rasters(outputs, cell, interpolation), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
@@ -125,7 +132,7 @@ def products(
         what = classified.files
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    rasters = make_rasters(what, Rasters(outputs, cell, water=water), source, reading=reading, run=anew)
+    rasters = make_rasters(what, Rasters(outputs, cell, interpolation, water), source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)

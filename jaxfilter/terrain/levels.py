@@ -19,6 +19,7 @@ from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
 from .outline import SNAP
 from .raster import RasterGrid
+from .runs import bodies, keys
 
 if TYPE_CHECKING:
     import geopandas
@@ -35,8 +36,8 @@ FALL = 0.1
 """Metres between the two ends of a body, from which on it falls."""
 _BLOCK, _PIECE = 8, 24.0
 """Cells along the side of a block, in which one mean is taken, and metres along a river in which one level is found."""
-_WIDE, _MOST = 1 << 32, 100_000_000
-"""More than there are columns, and cells that are looked at together."""
+_MOST = 100_000_000
+"""Cells that are looked at together."""
 
 
 def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterCells | None:
@@ -125,13 +126,7 @@ class WaterRuns:
         start = np.flatnonzero(np.append(True, ~cut))
         end = np.append(start[1:], len(run)) - 1
         run, z = np.column_stack([run[start, :2], run[end, 2]]), np.add.reduceat(z, start)
-        first, stop = _keys(run[:, 0], run[:, 1]), _keys(run[:, 0], run[:, 2])
-        beside = np.flatnonzero(stop[:-1] == first[1:])
-        above = np.searchsorted(stop, first + _WIDE, "right"), np.searchsorted(first, stop + _WIDE, "left")
-        number = np.maximum(above[1] - above[0], 0)
-        lower = np.repeat(np.arange(len(run)), number)
-        upper = np.arange(len(lower)) + np.repeat(above[0] - np.cumsum(number) + number, number)
-        body = groups(np.append(beside, lower), np.append(beside + 1, upper), len(run))
+        body = bodies(run)
         large = np.bincount(body, run[:, 2] - run[:, 1]) * side**2 >= LEAST_WATER
         kept = large[body]
         if not kept.any():
@@ -144,13 +139,13 @@ class WaterRuns:
         side, x0, y0, metre, factor = self.frame
         snapped = (np.rint((v - v0) * (metre / SNAP)) * SNAP for v, v0 in ((y, y0), (x, x0)))  # a centre may be an edge
         row, column = (np.floor(v / side + 0.5).astype(np.int64) for v in snapped)
-        key = _keys(row, column)
-        run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
+        key = keys(row, column)
+        run = np.maximum(np.searchsorted(keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
         found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
         return np.where(found, self.z[run] / factor, np.nan)
 
-    def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
-        """f32[rows, columns]: the values of a terrain model, level where the middle of a cell is in water."""
+    def over(self, grid: RasterGrid) -> np.ndarray:
+        """f64[rows, columns]: the level where the middle of a cell is in water, NaN on land."""
         x, y = (v.ravel() for v in grid.centres())
         side, x0, y0, metre, _ = self.frame
         low, high = self.run.min(axis=0) - 1, self.run.max(axis=0) + 1
@@ -158,10 +153,14 @@ class WaterRuns:
             (v >= v0 + a * side / metre) & (v <= v0 + b * side / metre)
             for v, v0, a, b in ((y, y0, low[0], high[0]), (x, x0, low[1], high[2]))
         ]
-        out, box = values.copy(), np.ix_(*near)
-        level = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
-        out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
+        out = np.full(grid.shape, np.nan)
+        out[np.ix_(*near)] = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
         return out
+
+    def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
+        """f32[rows, columns]: the values of a terrain model, level in water."""
+        level = self.over(grid).astype(np.float32)
+        return np.where(np.isnan(level), values, level)
 
 
 def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
@@ -214,10 +213,6 @@ def levels_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, groun
     classes = None if isinstance(result, FilterResult) else cloud.classification
     bed = classes is not None and bool((classes[ground] == BED).any())
     return None if bed else levels_in(cloud, result, ground)
-
-
-def _keys(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    return row.astype(np.int64) * _WIDE + column
 
 
 def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np.ndarray:

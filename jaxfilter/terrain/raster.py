@@ -220,6 +220,11 @@ class RasterGrid:
         top = min(self.bottom + self.rows, round(box[3] / self.cell))
         return RasterGrid(self.cell, left, bottom, right - left, top - bottom)
 
+    def grown(self, ring: int) -> RasterGrid:
+        """With so many more cells on all sides."""
+        more = 2 * ring
+        return RasterGrid(self.cell, self.left - ring, self.bottom - ring, self.columns + more, self.rows + more)
+
     def slices(self, part: RasterGrid) -> tuple[slice, slice]:
         """Rows, from north, and columns that the cells of a part have."""
         row, column = self.bottom + self.rows - part.bottom - part.rows, part.left - self.left

@@ -19,11 +19,12 @@ from ..core.units import Units
 from ..files.disk import check_suffix
 from ..files.storage import place_of
 from ..files.vectors import VECTOR_SUFFIXES, write_features
+from .edge import Edge
 from .interpolation import Linear, nearest_point
 from .layer import Layer, Site, ground_of, setting
-from .levels import levels_in, outlines
-from .models import Dtm, blocks_of, heights_of
-from .outline import occupied, places_of
+from .levels import WaterRuns, levels_in, outlines
+from .models import Dtm, heights_of
+from .outline import blocks_of, count_in, occupied, places_of
 from .raster import Raster, RasterGrid
 
 if TYPE_CHECKING:
@@ -203,13 +204,14 @@ class Count(Layer):
     """
 
     NAME, TITLE, UNITS, STYLE, SURFACE = "count", "number of ground points", "points", "cividis", False
+    KIND = "int32"
 
     def values(self, site: Site) -> np.ndarray:
-        grid = site.grid
-        columns, rows = (place[site.ground] for place in places_of(site.cloud, grid))
-        own = (columns >= 0) & (columns < grid.columns) & (rows >= 0) & (rows < grid.rows)
-        cells = rows[own] * grid.columns + columns[own]
-        return np.bincount(cells, minlength=grid.rows * grid.columns).reshape(grid.shape).astype(np.float32)
+        return count_in(site.cloud, site.ground, site.grid).astype(np.float32)
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """No 0 beyond the edge."""
+        return values if edge is None else np.where(edge.beyond(grid) & (values == 0), np.float32(np.nan), values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,8 +225,12 @@ class Density(Layer):
 
     NAME, TITLE, UNITS, STYLE, SURFACE = "density", "density of ground points", "points per m2", "cividis", False
 
-    def values(self, site: Site) -> np.ndarray:
-        return (site.of(Count()) / site.side**2).astype(np.float32)
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        return (Count(),)
+
+    def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
+        return (known[Count()] / (grid.cell * units.xy) ** 2).astype(np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,6 +264,10 @@ class Voids(Layer):
             for rows, at in blocks_of(site.cloud, site.grid):
                 out[rows] = np.isinf(nearest(at)[0]).reshape(-1, site.grid.columns)
         return out
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """Voids in the midst of the ground."""
+        return values if edge is None else np.where(edge.beyond(grid), np.float32(np.nan), values)
 
 
 def breaklines(
