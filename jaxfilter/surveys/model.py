@@ -125,7 +125,7 @@ class RasterProduct(GroundNeeded):
             part = site.part_of(self._edge, grid, wide)
             arrays |= {_GRIDS: np.array([dataclasses.astuple(one)[1:] for one in part[:3]])}
             if self.interpolation.ends:
-                arrays |= {_NEAR: part.near, _COUNT: np.array(part.count)}
+                arrays |= {_NEAR: part.near, _COUNT: np.array(part.points)}
                 arrays |= {} if part.circle is None else {_CIRCLE: part.circle}
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
             arrays |= kept_water(around.cloud, water, tile)
