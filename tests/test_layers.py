@@ -10,9 +10,10 @@ import geopandas
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from commands import done as completed
 from commands import facts, run
-from scipy.interpolate import LinearNDInterpolator
+from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
 from scipy.spatial import Delaunay, cKDTree
 from test_tiles_run import Here
 
@@ -196,11 +197,44 @@ def test_contours_of_a_cone_are_circles_however_many_blocks_there_are(monkeypatc
     monkeypatch.setattr("jaxfilter.terrain.contours.STRIP", rows)
     table = jf.contours(raster, interval=5.0)
     closed = table[table.geometry.is_ring]
-    assert sorted(closed["elevation"]) == [70.0, 75.0, 80.0, 85.0, 90.0, 95.0]  # a line each, joined
+    assert sorted(closed["elevation"]) == [75.0, 80.0, 85.0, 90.0, 95.0]  # a line each, joined
     for elevation, line in zip(closed["elevation"], closed.geometry, strict=True):
         at = np.array(line.coords) - [x, 5000 - (x - 1000)]
-        np.testing.assert_allclose(np.hypot(*at.T), (100 - elevation) / 0.5, atol=0.05)
+        np.testing.assert_allclose(np.hypot(*at.T), (100 - elevation) / 0.5, atol=0.1 * 5 / 0.5 + 0.05)
     assert (table["elevation"] % 5 == 0).all() and set(table.geom_type) == {"LineString"}
+
+
+def test_contours_stay_near_the_model_and_small_rings_are_left_out(rng):
+    """On a noisy slope each corner lies within a tenth of the interval of the model, linear along the sides of cells."""
+    x, y = np.meshgrid(np.arange(120) + 0.5, np.arange(90) + 0.5)
+    z = (0.07 * x + 0.5 * np.sin(y / 15) + 0.08 * rng.standard_normal(x.shape)).astype(np.float32)
+    raster = jf.Raster(z, (1.0, 0.0, 0.0, 0.0, -1.0, 90.0))
+    table = jf.contours(raster, 1.0)
+    at, line = shapely.get_coordinates(table.geometry.to_numpy(), return_index=True)
+    model = RegularGridInterpolator((y[:, 0], x[0]), z[::-1].astype(float))(at[:, ::-1])
+    off = np.abs(model - table["elevation"].to_numpy()[line])
+    assert off.max() < 0.1001 and np.quantile(off, 0.5) > 0.01  # it is smoothed, but not by more
+    assert len(table) == 8 and table.length.min() > 50 and table.length.sum() < 1000
+    assert (table["index_line"] == (table["elevation"] % 5 == 0)).all() and table["index_line"].sum() == 2
+    hill = dataclasses.replace(raster, values=np.maximum(0, 3.4 - np.hypot(x - 60, y - 45)).astype(np.float32))
+    assert set(jf.contours(hill, 1.0, shortest=1.0)["elevation"]) >= {1.0, 2.0}
+    assert jf.contours(hill, 1.0)["elevation"].tolist() == [1.0] and len(jf.contours(hill, 1.0, shortest=20.0)) == 0
+
+
+@pytest.mark.parametrize("name", ["contours", "hillshade"])
+def test_a_raster_gives_what_the_points_give(done, survey, tmp_path, name):
+    out, _ = done
+    suffix = LAYERS[name].kind.SUFFIXES[0]
+    target = tmp_path / f"made{suffix}"
+    completed(name, out / "dtm.tif", target)
+    if name == "hillshade":
+        expected = jf.Raster.read(out / "hillshade.tif")
+        np.testing.assert_array_equal(jf.Raster.read(target).values, expected.values)
+    else:
+        table, expected = geopandas.read_file(target), geopandas.read_file(out / "contours.gpkg")
+        assert table.geometry.geom_equals(expected.geometry).all() and table["elevation"].equals(expected["elevation"])
+    refused = run(name, out / "dtm.tif", tmp_path / f"b{suffix}", "--cell", "2")
+    assert refused.exit_code == 2 and "--cell is about points" in refused.stderr
 
 
 def test_contours_end_where_there_is_no_height_and_files_hold_them(tmp_path):

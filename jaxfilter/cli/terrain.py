@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..terrain.layers import LAYERS
+from ..terrain.raster import RASTER_SUFFIXES
 from .commands import command, main
 from .options import (
     BOUNDS,
@@ -21,7 +22,9 @@ from .options import (
     READING,
     RUN_OPTIONS,
     Files,
+    check_inputs,
     check_shapes,
+    check_target,
     open_files,
     take,
     take_classes,
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from ..surveys.model import TerrainReport
     from ..surveys.report import RunReport
     from ..surveys.surroundings import GroundSource
+    from ..terrain.layer import Layer
 
 
 CELL = [
@@ -82,13 +86,14 @@ def layer_command(name: str) -> click.Command:
     """The command of a layer, with its settings as options."""
     kind = LAYERS[name].kind
     form = "a GeoPackage or GeoJSON" if kind.SUFFIXES[0] == ".gpkg" else "a Cloud Optimized GeoTIFF"
+    of_raster = "IN may be a raster of heights (.tif) as well: nothing is triangulated anew.\n\n    " * kind.OF_RASTER
     help = f"""Make {LAYERS[name].help}, as {form}.
 
     IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. Large data are made in
     tiles that see the ground around them.
 
-    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to
-    multiples of --cell, in the coordinate system and units of IN. If OUT is -, the file goes to standard output.
+    {of_raster}The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are
+    aligned to multiples of --cell, in the coordinate system and units of IN. If OUT is -, the file goes to standard output.
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
     shared = (*GROUND_OPTIONS, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN_OPTIONS[:-1])
@@ -100,6 +105,8 @@ def layer_command(name: str) -> click.Command:
         from ..terrain.interpolation import Interpolation
 
         layer = take(kind, options)
+        if kind.OF_RASTER and len(names) == 2 and Path(names[0]).suffix.lower() in RASTER_SUFFIXES:
+            return _of_raster(layer, names, options, {field.name for field in dataclasses.fields(kind)})
         how = take(Interpolation, options)
         ground = _ground(options)
         files = open_files(session, names, options, layer.SUFFIXES)
@@ -111,6 +118,22 @@ def layer_command(name: str) -> click.Command:
         return _answer(report, files, f"{_cells(report, side)}\n{name}: ", "cell")
 
     return click.Command(name, params=[IN_OUT, *CELL, *own, *shared, *SESSION], help=help, callback=in_session(run))
+
+
+def _of_raster(layer: Layer, names: tuple[str, ...], options: dict[str, Any], own: set[str]) -> Answer:
+    """What is made of a raster of heights. Raises BadUsage for options that are about points."""
+    from ..files.storage import place_of
+    from ..terrain.derived import make_of_raster
+
+    context, (source, out) = click.get_current_context(), names
+    for one in context.command.params:
+        given = context.get_parameter_source(str(one.name)) is click.core.ParameterSource.COMMANDLINE
+        if given and isinstance(one, click.Option) and one.name in options and one.name not in (*own, "overwrite"):
+            raise BadUsage(f"{one.opts[0]} is about points, and {source} is a raster: leave it out")
+    check_inputs([source])
+    check_target(place_of(out), options["overwrite"], layer.SUFFIXES)
+    text = make_of_raster(layer, Path(source), place_of(out), overwrite=options["overwrite"])
+    return Answer({"input": source, "output": out}, f"{out}: {text}")
 
 
 def _option_of(field: dataclasses.Field[Any]) -> click.Option:

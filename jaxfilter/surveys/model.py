@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import tempfile
 import time
@@ -19,14 +18,13 @@ from ..core.grid import MAX_CELLS
 from ..core.reading import Reading
 from ..files.disk import Bounds, check_suffix
 from ..files.storage import Place, place_of
-from ..files.vectors import write_features
-from ..terrain.contours import Contours, contour_tables
+from ..terrain.contours import Contours, write_contours
 from ..terrain.edge import Edge, EdgeRule, Part
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
-from ..terrain.raster import RasterGrid, packed, profile_of, strips_of, write_mosaic
+from ..terrain.raster import RasterGrid, packed, profile_of, write_mosaic
 from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water
@@ -165,14 +163,12 @@ class RasterProduct(GroundNeeded):
                     if not isinstance(model, Path):
                         model = Path(folder) / "model.tif"
                         known.append(self._write(layer.cells, model, report, collection, edge, True))
-                    tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
-                    if not len(first := next(tables)):
-                        level = f"no height is a multiple of interval={layer.interval:g}"
-                        said = f"{collection.name}: there is no contour line: {level}: pass a smaller interval="
-                        if len(self.layers) == 1:
+                    how, alone = (collection.crs, collection.metre), len(self.layers) == 1
+                    if not write_contours(layer, model, places[layer], how, overwrite=replace, empty=not alone):
+                        said = f"{collection.name}: {layer.none}"
+                        if alone:
                             raise self._nothing(said)
                         warn(said)
-                    write_features(places[layer], itertools.chain([first], tables), layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.total.seconds["write"] += time.perf_counter() - start

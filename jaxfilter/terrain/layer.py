@@ -39,7 +39,7 @@ class Layer:
         KIND: the type of the values in files, in which ``NODATA`` stands for none. SUFFIXES: of files, the usual one first.
         STYLE: a colour map of Matplotlib, for pictures, or "relief".
         SURFACE: it needs a surface through the ground. MODEL: it shows the terrain model, and what its command says of the
-            interpolation of heights counts.
+            interpolation of heights counts. OF_RASTER: it can be made of a raster of heights (``derived.py``).
     """
 
     NAME: ClassVar[str] = ""
@@ -51,6 +51,7 @@ class Layer:
     STYLE: ClassVar[str] = "gray"
     SURFACE: ClassVar[bool] = True
     MODEL: ClassVar[bool] = False
+    OF_RASTER: ClassVar[bool] = False
 
     def reach(self, side: float) -> float:
         """Metres around a cell from which points count, besides the ground under the surface; ``side``: of a cell, metres."""

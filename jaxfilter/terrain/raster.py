@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pyproj
 
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
-from ..core.units import for_outputs
+from ..core.units import for_outputs, horizontal
 from ..files.disk import Bounds, check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
@@ -24,6 +26,9 @@ RASTER_SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
 _BLOCK, STRIP = 256, 512
 """Rows and columns of the blocks of a file, and rows that are read of it at a time."""
+
+
+Transform = tuple[float, float, float, float, float, float]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,7 +49,7 @@ class Raster:
     """
 
     values: np.ndarray
-    transform: tuple[float, float, float, float, float, float]
+    transform: Transform
     crs: Any = None
     nodata: float = NODATA
     kind: str = "float32"
@@ -150,18 +155,12 @@ class Raster:
         >>> bool(np.array_equal(back.values, model.values, equal_nan=True))
         True
         """
-        import pyproj
         import rasterio
 
-        try:
+        with Rows.of(path) as (rows, transform, crs):
+            values = rows.read(0, rows.number)
             with rasterio.open(path) as file:
-                values = file.read(1, masked=True).astype(np.float32).filled(np.nan)
-                transform, nodata, kind = tuple(file.transform)[:6], file.nodata, str(file.dtypes[0])
-                crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
-        except rasterio.errors.RasterioError as error:
-            raise InputError(f"{path}: cannot be read as a raster: {error}") from error
-        if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
-            raise InputError(f"{path}: only north-up rasters with square cells are read, not transform {transform}")
+                nodata, kind = file.nodata, str(file.dtypes[0])
         kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
         return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
 
@@ -231,7 +230,7 @@ class RasterGrid:
         return slice(row, row + part.rows), slice(column, column + part.columns)
 
     @property
-    def transform(self) -> tuple[float, float, float, float, float, float]:
+    def transform(self) -> Transform:
         """As of a :class:`Raster` on these cells."""
         return self.cell, 0.0, self.left * self.cell, 0.0, -self.cell, (self.bottom + self.rows) * self.cell
 
@@ -287,15 +286,43 @@ def write_mosaic(
     return known
 
 
-def strips_of(path: Path) -> Iterator[np.ndarray]:
-    """Heights f32[r, columns] of some rows of a file after the other, NaN where there are none; the last row of each is the first
-    of the next."""
-    import rasterio
+class Rows(NamedTuple):
+    """Heights of a raster that need not be in memory: ``number``, ``columns``: its shape; ``read``: f32[r, columns], rows
+    from one to before another, NaN where there are none."""
 
-    with rasterio.open(path) as file:
-        for top in range(0, max(1, file.height - 1), STRIP):
-            rows = rasterio.windows.Window(0, top, file.width, min(STRIP + 1, file.height - top))
-            yield file.read(1, window=rows, masked=True).filled(np.nan)
+    number: int
+    columns: int
+    read: Callable[[int, int], np.ndarray]
+
+    @classmethod
+    @contextlib.contextmanager
+    def of(cls, path: str | Path) -> Iterator[tuple[Rows, Transform, Any]]:
+        """The first band of a file, which is open as long as the block, its transform and its CRS. Raises: InputError."""
+        import rasterio
+
+        try:
+            with rasterio.open(path) as file:
+                transform = tuple(file.transform)[:6]
+                if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
+                    words = f"only north-up rasters with square cells are read, not transform {transform}"
+                    raise InputError(f"{path}: {words}")
+
+                def read(top: int, stop: int) -> np.ndarray:
+                    window = rasterio.windows.Window(0, top, file.width, stop - top)
+                    return np.asarray(file.read(1, window=window, masked=True).astype(np.float32).filled(np.nan))
+
+                crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
+                yield cls(file.height, file.width, read), transform, crs
+        except rasterio.errors.RasterioError as error:
+            raise InputError(f"{path}: cannot be read as a raster: {error}") from error
+
+
+def metres_per_unit(crs: Any) -> float:
+    """Of X and Y; 1 without a CRS, and for degrees that of latitude."""
+    if crs is None:
+        return 1.0
+    plane = horizontal(pyproj.CRS(crs))
+    return 111_320.0 if plane.is_geographic else float(plane.axis_info[0].unit_conversion_factor)
 
 
 def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:

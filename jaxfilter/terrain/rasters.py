@@ -139,7 +139,8 @@ class Chm(Dsm):
 class Hillshade(Layer):
     """The shaded relief of the terrain model, see :func:`hillshade`."""
 
-    NAME, TITLE, UNITS, KIND, NODATA, MODEL = "hillshade", "hillshade", "1 (dark) to 255", "uint8", 0, True
+    NAME, TITLE, UNITS, KIND, NODATA = "hillshade", "hillshade", "1 (dark) to 255", "uint8", 0
+    MODEL, OF_RASTER = True, True
     azimuth: float = setting("Where the light comes from, degrees from north to east.", 315.0)
     altitude: float = setting("Degrees of the sun above the horizon.", 45.0)
 
