@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Iterable
@@ -23,6 +24,7 @@ from .runs import bodies, keys
 
 if TYPE_CHECKING:
     import geopandas
+    import shapely
 
 WATER = 9
 """ASPRS class of water."""
@@ -36,6 +38,8 @@ FALL = 0.1
 """Metres between the two ends of a body, from which on it falls."""
 _BLOCK, _PIECE = 8, 24.0
 """Cells along the side of a block, in which one mean is taken, and metres along a river in which one level is found."""
+_WEIR, _ROUNDS = 0.3, 8
+"""Metres between two pieces, from which on it is a step, and times that others are made even."""
 _MOST = 100_000_000
 """Cells that are looked at together."""
 
@@ -135,14 +139,49 @@ class WaterRuns:
         return cls(some[0].frame, run, _levels(run, z, body, side), body)
 
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
+        """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates.
+
+        A place is in water if half of the four cells around it are, by their distance, so that a shore has no stairs. The level
+        is linear between the middles of blocks, so that it falls evenly.
+        """
         side, x0, y0, metre, factor = self.frame
-        snapped = (np.rint((v - v0) * (metre / SNAP)) * SNAP for v, v0 in ((y, y0), (x, x0)))  # a centre may be an edge
-        row, column = (np.floor(v / side + 0.5).astype(np.int64) for v in snapped)
-        key = keys(row, column)
-        run = np.maximum(np.searchsorted(keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
-        found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
-        return np.where(found, self.z[run] / factor, np.nan)
+        place = [np.rint((v - v0) * (metre / SNAP)) * (SNAP / side) for v, v0 in ((y, y0), (x, x0))]
+        low = [np.floor(v).astype(np.int64) for v in place]
+        first = keys(self.run[:, 0], self.run[:, 1])
+        share, most, run = np.zeros(np.shape(x)), np.zeros(np.shape(x)), np.zeros(np.shape(x), np.int64)
+        for way in _CORNERS:
+            (row, column), weight = _corner(place, low, way)
+            at = np.maximum(np.searchsorted(first, keys(row, column), "right") - 1, 0)
+            wet = (self.run[at, 0] == row) & (self.run[at, 1] <= column) & (column < self.run[at, 2])
+            share += weight * wet
+            nearer = wet & (weight > most)
+            run, most = np.where(nearer, at, run), np.where(nearer, weight, most)
+        return np.where(share >= 0.5, self._even(place, run) / factor, np.nan)
+
+    def _even(self, place: list[np.ndarray], run: np.ndarray) -> np.ndarray:
+        """f64[...]: levels, metres, of rows and columns that are in the body of a run."""
+        place = [(v + 0.5) / _BLOCK - 0.5 for v in place]
+        low = [np.floor(v).astype(np.int64) for v in place]
+        known, z = self._blocks
+        own, more, total = self.z[run], np.zeros(np.shape(run)), np.zeros(np.shape(run))
+        for way in _CORNERS:
+            (row, column), weight = _corner(place, low, way)
+            key = self._block_key(row, column, self.body[run])
+            at = np.minimum(np.searchsorted(known, key), len(known) - 1)
+            weight = weight * (known[at] == key)
+            more, total = more + weight * (z[at] - own), total + weight
+        return own + more / np.where(total > 0, total, 1.0)
+
+    def _block_key(self, row: np.ndarray, column: np.ndarray, body: np.ndarray) -> np.ndarray:
+        low, high = self.run.min(axis=0)[:2] // _BLOCK - 1, self.run.max(axis=0) // _BLOCK + 3
+        return ((row - low[0]) * (high[2] - low[1]) + column - low[1]) * (self.body.max() + 1) + body
+
+    @functools.cached_property
+    def _blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """i64[b], f64[b]: blocks of bodies, by number, and their levels."""
+        row, column = self.run[:, :2].T.astype(np.int64) // _BLOCK
+        key, first = np.unique(self._block_key(row, column, self.body), return_index=True)
+        return key, self.z[first]
 
     def over(self, grid: RasterGrid) -> np.ndarray:
         """f64[rows, columns]: the level where the middle of a cell is in water, NaN on land."""
@@ -163,6 +202,17 @@ class WaterRuns:
         return np.where(np.isnan(level), values, level)
 
 
+_CORNERS = tuple(itertools.product((0, 1), repeat=2))
+
+
+def _corner(
+    place: list[np.ndarray], low: list[np.ndarray], way: tuple[int, int]
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Row and column of one of the four cells around places, and its weight."""
+    row, column = (np.abs(1 - one - (v - whole)) for v, whole, one in zip(place, low, way, strict=True))
+    return (low[0] + way[0], low[1] + way[1]), row * column
+
+
 def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`. None: there are no bodies."""
     import geopandas
@@ -180,6 +230,7 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     shapes, heights = [], []
     for rows in np.split(order, np.flatnonzero(np.diff(levels.body[order])) + 1):
         shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
+        shape = _without_stairs(shape, step)
         low, high = z[rows].min(), z[rows].max()
         if low == high:
             shape = shapely.simplify(shape, 0)
@@ -194,6 +245,16 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
     found.insert(2, "area", found.area)
     return found
+
+
+def _without_stairs(shape: shapely.Geometry, step: float) -> shapely.Geometry:
+    """A polygon of cells with lines from the middle of a side of a cell to the next instead of corners."""
+    import shapely
+
+    rings = [shape.exterior, *shape.interiors]
+    corners = [shapely.get_coordinates(shapely.segmentize(ring, 1.001 * step)) for ring in rings]
+    shell, *holes = (np.concatenate([at[:-1] + at[1:], at[:1] + at[1:2]]) / 2 for at in corners)
+    return shapely.simplify(shapely.Polygon(shell, holes), 1e-6 * step)
 
 
 def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
@@ -294,10 +355,16 @@ def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.nd
     for some in reversed(steps):
         np.minimum.at(least, some[:, 0], least[some[:, 1]])
     own = (least + most) / 2
-    below, above = np.full((2, len(own)), np.inf)
-    np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
-    np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
-    below, above = np.where(np.isinf(below), own, -below), np.where(np.isinf(above), own, above)
+    for left in reversed(
+        range(_ROUNDS + 1)
+    ):  # means of three pieces rise nowhere; the last round only finds the slopes
+        below, above = np.full((2, len(own)), np.inf)
+        np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
+        np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
+        down, up = own + below, above - own
+        most = _WEIR if left else np.finfo(float).max
+        down, up = (np.where(a <= most, a, np.where(b <= most, b, 0)) for a, b in ((down, up), (up, down)))
+        own = own + (up - down) / 4 if left else own
     share = way / _PIECE - band - 0.5
-    slope = np.where(share < 0, (own - below)[piece], (above - own)[piece])
+    slope = np.where(share < 0, down[piece], up[piece])
     return np.where((np.abs(here - there) > FALL)[of], own[piece] + share * slope, flat)
