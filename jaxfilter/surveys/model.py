@@ -15,6 +15,7 @@ import numpy as np
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, warn
 from ..core.grid import MAX_CELLS
+from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..files.disk import Bounds, check_suffix
 from ..files.storage import Place, place_of
@@ -27,7 +28,7 @@ from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, packed, profile_of, write_mosaic
 from .area import within
 from .collection import Collection, common
-from .kept import WaterWanted, kept_water, list_water
+from .kept import WaterWanted, kept_water, list_water, remembered
 from .options import RunOptions
 from .product import KEPT, Cut
 from .report import RunReport, Summary
@@ -276,6 +277,9 @@ def make_rasters(
     if BED in (classes or ()):
         interpolation = dataclasses.replace(interpolation, level_water=False)
     collection, reading = open_files(what, reading, clip=False)
+    if classes is not None and interpolation.level_water:
+        water = remembered(water, collection.uris)
+        classes = class_numbers({*classes, *water.classes})
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
     if not collection.count:
         raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -112,16 +111,10 @@ def products(
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
     classified = None
-    water = WaterWanted(path=outlined)
     source: GroundSource = Recipe() if ground is None else ground
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        act = functools.partial(classify, what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes)
-        classified = act(run=run)
-        if classified.was_complete:  # its water is not known any more
-            classified = act(run=anew)
-        if reading.aoi is None:
-            water = WaterWanted(False, classified.water is not None, classified.water, outlined)
+        classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
         tried = make_rasters(what, Rasters(outputs, cell, interpolation), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
@@ -130,9 +123,10 @@ def products(
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
         what = classified.files
-        source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
+        source = (classes.ground_class,)
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    rasters = make_rasters(what, Rasters(outputs, cell, interpolation, water), source, reading=reading, run=anew)
+    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined))
+    rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)

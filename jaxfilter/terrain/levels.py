@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -138,6 +138,22 @@ class WaterRuns:
         run, z, body = run[kept], z[kept], (np.cumsum(large) - 1)[body[kept]]
         return cls(some[0].frame, run, _levels(run, z, body, side), body)
 
+    @classmethod
+    def together(cls, parts: Sequence[Self]) -> Self:
+        """The bodies of surveys with one frame, as they are; where they overlap, those of the first."""
+        number = np.cumsum([0, *(int(part.body.max()) + 1 for part in parts)])
+        run, z = np.concatenate([part.run for part in parts]), np.concatenate([part.z for part in parts])
+        body = np.concatenate([part.body + first for part, first in zip(parts, number, strict=False)])
+        order = np.argsort(keys(run[:, 0], run[:, 1]), kind="stable")
+        first, stop = (keys(run[order, 0], run[order, k]) for k in (1, 2))
+        order = order[first >= np.append(0, np.maximum.accumulate(stop)[:-1])] if len(parts) > 1 else order
+        return cls(parts[0].frame, run[order], z[order], body[order])
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The attributes by name."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates.
 
@@ -202,7 +218,7 @@ class WaterRuns:
         return np.where(np.isnan(level), values, level)
 
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=2))
+_CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 def _corner(
@@ -362,8 +378,8 @@ def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.nd
         np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
         np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
         down, up = own + below, above - own
-        most = _WEIR if left else np.finfo(float).max
-        down, up = (np.where(a <= most, a, np.where(b <= most, b, 0)) for a, b in ((down, up), (up, down)))
+        limit = _WEIR if left else _MOST
+        down, up = (np.where(a <= limit, a, np.where(b <= limit, b, 0)) for a, b in ((down, up), (up, down)))
         own = own + (up - down) / 4 if left else own
     share = way / _PIECE - band - 0.5
     slope = np.where(share < 0, down[piece], up[piece])
