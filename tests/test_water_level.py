@@ -149,7 +149,7 @@ def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more):
 
 @pytest.mark.parametrize("number", [9, None])
 def test_water_that_is_found_in_tiles_is_that_of_the_whole_and_remembered(tmp_path, number):
-    """By OST: labels, outlines and levels of a river that goes through four files; and of later models of the classified files."""
+    """By OST: labels, outlines and levels of a river through four files; and of later models of the classified ones."""
     layout = jf.scenes.SceneLayout(relief=4, landform=128, river=28, water_echoes=0.8, forest=0, settlement=0)
     scene = jf.scenes.make(layout, size=(440, 180), density=0.7, seed=7)
     x = scene.xyz[:, 0] - scene.origin[0]

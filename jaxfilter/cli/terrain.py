@@ -32,7 +32,7 @@ from .options import (
 )
 from .output import SESSION, Answer, answer_of, count, in_session, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
-from .values import BOX, CLASS, IN_OUT, METRES, option
+from .values import BOX, CLASS, IN_OUT, INPUT, METRES, option
 
 if TYPE_CHECKING:
     from ..surveys.model import TerrainReport
@@ -46,6 +46,8 @@ CELL = [
     option(
         "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
+    option("--like", "A raster whose cells the new rasters have, instead of --cell and bounds.", INPUT),
+    option("--nodata", "Number that stands for no value in rasters of decimal numbers.  [default: -9999]", float),
 ]
 _GAP = option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float)
 _LARGEST_EDGE = option(
@@ -112,7 +114,8 @@ def layer_command(name: str) -> click.Command:
         files = open_files(session, names, options, layer.SUFFIXES)
         assert files.out is not None
         cell, side = _side(files, options)
-        report = files.do(make_rasters, Rasters({layer: place_of(files.out)}, cell, how), ground)
+        wanted = Rasters({layer: place_of(files.out)}, cell, how, like=options["like"], nodata=options["nodata"])
+        report = files.do(make_rasters, wanted, ground)
         if report.forecast is not None:
             return plan_answer(report.forecast)
         return _answer(report, files, f"{_cells(report, side)}\n{name}: ", "cell")
@@ -145,8 +148,10 @@ def _option_of(field: dataclasses.Field[Any]) -> click.Option:
 
 
 def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
-    """Of a cell, in file units, and with its unit in words."""
+    """Of a cell, in file units, and with its unit in words, which are empty for those of another raster."""
     units, cell = files.collection.units, options["cell"]
+    if options["like"] is not None:
+        return cell, ""
     if options["cell_units"] == "file" or units.xy == 1.0:
         return cell, f"{cell:g} {units.name}"
     return cell / units.xy, f"{cell:g} m ({cell / units.xy:.6g} {units.name})"
@@ -154,6 +159,7 @@ def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
 
 def _cells(report: TerrainReport, side: str) -> str:
     """What rasters are, in words."""
+    side = side or f"{report.transform[0]:g} units"
     text = f"{report.rows:,} x {report.columns:,} cells of {side} through {report.ground:,} ground points"
     return f"{text}, {report.empty:,} cells without a value"
 
@@ -203,7 +209,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     files = open_files(session, names, options)
     cell, side = _side(files, options)
     how = {"only": only, "cell": cell, "classes": classes, "breaklines": options["breaklines"]}
-    how |= {name: options[name] for name in ("interval", "azimuth")}
+    how |= {name: options[name] for name in ("interval", "azimuth", "like", "nodata")}
     how["interpolation"] = Interpolation(max_gap=options["max_gap"], max_edge=options["max_edge"])
     made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast

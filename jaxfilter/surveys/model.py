@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError, warn
+from ..core.errors import InputError, ParameterError, warn
 from ..core.grid import MAX_CELLS
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
@@ -25,7 +25,7 @@ from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import BED, water_of
 from ..terrain.models import Dtm
-from ..terrain.raster import RasterGrid, packed, profile_of, write_mosaic
+from ..terrain.raster import Band, RasterGrid, grid_like, packed, profile_of, write_mosaic
 from .area import within
 from .collection import Collection, common
 from .kept import WaterWanted, kept_water, list_water, remembered
@@ -65,6 +65,7 @@ class RasterProduct(GroundNeeded):
     Attributes:
         grid: of all rasters; layers: what they show; interpolation: of heights between ground points.
         water: how tiles come to know of it.
+        nodata: what stands for no value in float32, instead of the layers' own.
     """
 
     REPORT = TerrainReport
@@ -72,6 +73,7 @@ class RasterProduct(GroundNeeded):
     layers: tuple[Layer, ...]
     interpolation: Interpolation
     water: WaterWanted
+    nodata: float | None = None
 
     def cut(self) -> Cut:
         """Tiles that cover what is near ground as well."""
@@ -134,7 +136,7 @@ class RasterProduct(GroundNeeded):
     def facts(self) -> dict[str, Any]:
         """What ground is, the cells, the layers, and the interpolation."""
         layers = {layer.NAME: dataclasses.asdict(layer) for layer in self.layers}
-        facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers}
+        facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers, "nodata": self.nodata}
         return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
@@ -189,6 +191,7 @@ class RasterProduct(GroundNeeded):
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
         levels, units = report.water if self.interpolation.level_water else None, collection.units
         bases = layer.parts or (layer,)
+        nodata = layer.NODATA if self.nodata is None or layer.KIND != "float32" else self.nodata
 
         def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
             for stored in self.kept(report, (_GRIDS, *(KEPT + base.NAME for base in bases))):
@@ -197,7 +200,7 @@ class RasterProduct(GroundNeeded):
                     known = {base: base.bounded(stored[KEPT + base.NAME], wide, edge, levels) for base in bases}
                     values = layer.made_of(known, wide, units)[wide.slices(own)]
                     wanted = within(self.reading.aoi, *np.meshgrid(*own.centres()))
-                    yield own, packed(np.where(wanted, values, np.float32(np.nan)), layer.KIND, layer.NODATA)
+                    yield own, packed(np.where(wanted, values, np.float32(np.nan)), layer.KIND, nodata)
 
         def check(known: int) -> None:
             if known:
@@ -208,8 +211,9 @@ class RasterProduct(GroundNeeded):
                 why = report.set_aside[0]["reason"]
             raise self._nothing(f"{collection.name}: no cell of the {layer.NAME} has a value: {why}")
 
-        profile = profile_of(self.grid.shape, self.grid.transform, collection.crs, layer.KIND, layer.NODATA)
-        return write_mosaic(place, self.grid, profile, parts, overwrite=replace, check=check)
+        band = Band(layer.TITLE, layer.UNITS, collection.crs)
+        profile = profile_of(self.grid.shape, self.grid.transform, collection.crs, layer.KIND, nodata)
+        return write_mosaic(place, self.grid, profile, parts, band, overwrite=replace, check=check)
 
     def _nothing(self, why: str) -> InputError:
         """The error of a product without values, which leaves nothing to go on with."""
@@ -223,6 +227,8 @@ def terrain_model(
     ground: GroundSource = (GROUND_CLASS,),
     *,
     cell: float = 1.0,
+    like: str | Path | None = None,
+    nodata: float | None = None,
     interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     run: RunOptions = RunOptions(),
@@ -238,6 +244,8 @@ def terrain_model(
             not at all; then the hidden folder lies in ``run.work``.
         ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is level.
         cell: side of a cell; its edges are whole multiples of it, all in file units.
+        like: a raster file whose cells the model has, instead of ``cell`` and ``bounds``.
+        nodata: what stands for no height in the file, by default -9999.
         interpolation: as in :func:`jaxfilter.dtm`, see :class:`Interpolation`.
         reading: as in :func:`jaxfilter.ground`; its ``bounds`` are those of the raster, and points around them take part.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
@@ -249,7 +257,7 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation)
+    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation, like=like, nodata=nodata)
     return make_rasters(what, rasters, ground, reading=reading, run=run)
 
 
@@ -262,6 +270,8 @@ class Rasters:
     cell: float = 1.0
     interpolation: Interpolation = Interpolation()
     water: WaterWanted = WaterWanted()
+    like: str | Path | None = None
+    nodata: float | None = None
 
 
 def make_rasters(
@@ -283,7 +293,14 @@ def make_rasters(
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
     if not collection.count:
         raise InputError(f"{collection.name}: holds no points, so that no cell has a value: name files with points")
-    grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
+    if rasters.nodata is not None and not (
+        abs(rasters.nodata) < 1e38 and rasters.nodata == float(np.float32(rasters.nodata))
+    ):
+        raise ParameterError(f"nodata={rasters.nodata!r}: must be a number that float32 can hold, such as -999999")
+    if rasters.like is not None:
+        grid = grid_like(rasters.like, collection.crs)
+    else:
+        grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = Targets(places, called="products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None, drop_duplicates=True), run)
     product = RasterProduct(
@@ -291,10 +308,11 @@ def make_rasters(
         halo=run.halo,
         data=collection.bounds,
         classes_of_ground=classes,
-        grain=cell * collection.metre,
+        grain=grid.cell * collection.metre,
         grid=grid,
         layers=layers,
         interpolation=interpolation,
+        nodata=rasters.nodata,
         water=water if interpolation.level_water or water.path is not None else WaterWanted(False),
     )
     return carry_out(survey, product)

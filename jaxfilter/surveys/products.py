@@ -51,6 +51,8 @@ def products(
     *,
     only: Iterable[str] | None = None,
     cell: float = 1.0,
+    like: str | Path | None = None,
+    nodata: float | None = None,
     interpolation: Interpolation = Interpolation(),
     interval: float = 1.0,
     azimuth: float = 315.0,
@@ -71,7 +73,7 @@ def products(
         ground: the filter, by default the default method, set up for the data; or classes of points that are ground already,
             as in :func:`jaxfilter.heights`, and then no files are classified.
         only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
-        cell: side of the cells of rasters, in file units.
+        cell: side of the cells of rasters, in file units. like, nodata: as in :func:`jaxfilter.terrain_model`.
         interpolation: of heights between ground points, see :class:`Interpolation`.
         interval: of contour lines, in units of Z; azimuth: of the light of the hillshade, degrees.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
@@ -116,7 +118,7 @@ def products(
     if isinstance(source, Filter | Recipe):
         classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell, interpolation), source, reading=reading, run=run)
+        tried = make_rasters(what, Rasters(outputs, cell, interpolation, like=like), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
@@ -125,10 +127,10 @@ def products(
         what = classified.files
         source = (classes.ground_class,)
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined))
+    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined), like, nodata)
     rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
-    size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
+    size = f"{rasters.rows:,} x {rasters.columns:,} of {rasters.transform[0]:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
     figures = zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)
     write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)

@@ -13,7 +13,7 @@ from ..core.units import vertical
 from ..files.storage import Place
 from .contours import Contours, write_contours
 from .layer import Layer
-from .raster import STRIP, RasterGrid, Rows, metres_per_unit, packed, profile_of, write_mosaic
+from .raster import STRIP, Band, RasterGrid, Rows, metres_per_unit, packed, profile_of, write_mosaic
 from .rasters import Hillshade
 
 
@@ -45,5 +45,5 @@ def make_of_raster(layer: Layer, source: Path, target: Place, *, overwrite: bool
                 yield part, packed(shade[: stop - top], layer.KIND, layer.NODATA)
 
         profile = profile_of(grid.shape, transform, crs, layer.KIND, layer.NODATA)
-        known = write_mosaic(target, grid, profile, parts, overwrite=overwrite)
+        known = write_mosaic(target, grid, profile, parts, Band(layer.TITLE, layer.UNITS, crs), overwrite=overwrite)
         return f"{rows.number:,} x {rows.columns:,} cells, {rows.number * rows.columns - known:,} without a value"

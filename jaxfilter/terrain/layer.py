@@ -19,7 +19,7 @@ from .edge import Edge, EdgeRule, Part
 from .interpolation import Heights, Interpolation
 from .levels import WaterRuns, levels_of
 from .outline import count_in
-from .raster import NODATA, RASTER_SUFFIXES, Raster, RasterGrid
+from .raster import HEIGHTS, NODATA, RASTER_SUFFIXES, Raster, RasterGrid
 
 
 def setting(help: str, default: Any, *, metres: bool = False) -> Any:
@@ -44,7 +44,7 @@ class Layer:
 
     NAME: ClassVar[str] = ""
     TITLE: ClassVar[str] = ""
-    UNITS: ClassVar[str] = "units of Z"
+    UNITS: ClassVar[str] = HEIGHTS
     KIND: ClassVar[str] = "float32"
     NODATA: ClassVar[float] = NODATA
     SUFFIXES: ClassVar[tuple[str, ...]] = RASTER_SUFFIXES
@@ -97,7 +97,7 @@ class Layer:
         noise = result.low_noise if isinstance(result, FilterResult) else None
         grid, ground = grid_of(cloud, cell, bounds), ground_of(cloud, result)
         site = Site(cloud, ground, grid, noise=noise, levels=levels_of(cloud, result, ground))
-        return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
+        return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE, self.UNITS)
 
 
 @dataclasses.dataclass(eq=False)

@@ -15,7 +15,7 @@ import pyproj
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
-from ..core.units import for_outputs, horizontal
+from ..core.units import for_outputs, height_datum, horizontal, same_system
 from ..files.disk import Bounds, check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 RASTER_SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
+HEIGHTS = "units of Z"
+"""Units of a raster that are those of the heights of its CRS."""
 _BLOCK, STRIP = 256, 512
 """Rows and columns of the blocks of a file, and rows that are read of it at a time."""
 
@@ -41,7 +43,7 @@ class Raster:
             corner of a cell: the first six numbers of ``affine.Affine``, as rasterio has them. Centres lie half a cell on.
         crs: pyproj.CRS or None.
         nodata, kind: what stands for NaN in files, and the type of their values.
-        title: what the values are; its first word is the name of the array of :meth:`to_xarray`.
+        title: what the values are; its first word is the name of the array of :meth:`to_xarray`. units: in which they are.
 
     >>> model = jf.dtm(cloud, result, cell=5.0)
     >>> model.values.dtype, model.values.shape, model.transform[:3]
@@ -54,6 +56,7 @@ class Raster:
     nodata: float = NODATA
     kind: str = "float32"
     title: str = "height of the ground"
+    units: str = HEIGHTS
 
     def __repr__(self) -> str:
         rows, columns = self.values.shape
@@ -136,10 +139,12 @@ class Raster:
 
         path = check_suffix(place_of(path), RASTER_SUFFIXES)
         profile = profile_of(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
+        band = Band(self.title, self.units, self.crs)
         profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
             with memory.open(**profile) as file:
                 file.write(packed(self.values, self.kind, self.nodata), 1)
+                band.describe(file)
             with new_file(path, overwrite=overwrite) as temporary:
                 temporary.write_bytes(memory.getbuffer())
         return path
@@ -240,6 +245,7 @@ def write_mosaic(
     grid: RasterGrid,
     profile: dict[str, Any],
     parts: Callable[[], Iterable[tuple[RasterGrid, np.ndarray]]],
+    band: Band,
     *,
     overwrite: bool = False,
     check: Callable[[int], None] = lambda known: None,
@@ -250,7 +256,7 @@ def write_mosaic(
     Args:
         grid: all cells; profile: of the file, see :func:`profile_of`.
         parts: gives, each time it is called, cells and their values, see :func:`packed`, of parts that do not overlap. What no
-            part covers has no value.
+            part covers has no value. band: what they are.
         check: called with the number of cells that have a value, before the file appears, which it does not if this raises.
 
     Returns: how many cells have a value.
@@ -270,6 +276,7 @@ def write_mosaic(
             with rasterio.open(plain, "w", **profile) as file:
                 for window, values in windows():
                     file.write(values, 1, window=window)
+                band.describe(file)
             copy(
                 plain, temporary, driver="COG", compress="deflate", predictor="yes", overviews="ignore_existing",
                 resampling="average", bigtiff="if_safer",
@@ -323,6 +330,38 @@ def metres_per_unit(crs: Any) -> float:
         return 1.0
     plane = horizontal(pyproj.CRS(crs))
     return 111_320.0 if plane.is_geographic else float(plane.axis_info[0].unit_conversion_factor)
+
+
+class Band(NamedTuple):
+    """What the values of a raster are: ``title`` and ``units``, as of a :class:`Raster`; ``crs``: of the raster."""
+
+    title: str
+    units: str
+    crs: Any
+
+    def describe(self, file: Any) -> None:
+        """Say it in a file that is open: description and unit of the band, and what heights count from as VERTICAL_DATUM."""
+        file.set_band_description(1, self.title)
+        crs = None if self.crs is None else pyproj.CRS(self.crs)
+        if self.units != HEIGHTS:
+            file.set_band_unit(1, self.units)
+        elif crs is not None:
+            file.set_band_unit(1, crs.axis_info[-1].unit_name)
+        if self.units == HEIGHTS and "height of" in self.title:
+            file.update_tags(VERTICAL_DATUM=(crs and height_datum(crs)) or "unknown")
+
+
+def grid_like(path: str | Path, crs: Any) -> RasterGrid:
+    """The cells of a raster file, for others in a ``crs``. Raises: InputError if it has another CRS, or if its cells do not end
+    at whole multiples of their side."""
+    with Rows.of(path) as (rows, transform, own):
+        cell, _, left, _, _, top = transform
+        if crs is not None and own is not None and not same_system(horizontal(own), horizontal(crs)):
+            raise InputError(f"{path}: is in {own.name}, and the points are in {crs.name}: name a raster in their CRS")
+        first, last = left / cell, top / cell
+        if max(abs(first - round(first)), abs(last - round(last))) > 1e-4:
+            raise InputError(f"{path}: its cells do not end at multiples of their side, {cell:g}: name another raster")
+        return RasterGrid(cell, round(first), round(last) - rows.number, rows.columns, rows.number)
 
 
 def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:

@@ -192,7 +192,7 @@ def hillshade(model: Raster, azimuth: float = 315.0, altitude: float = 45.0, z_f
     layer = Hillshade(azimuth, altitude)
     check_positive(z_factor=z_factor)
     values = layer.shade(model.values, model.cell, z_factor)
-    return Raster(values, model.transform, model.crs, layer.NODATA, layer.KIND, layer.TITLE)
+    return Raster(values, model.transform, model.crs, layer.NODATA, layer.KIND, layer.TITLE, layer.UNITS)
 
 
 @dataclasses.dataclass(frozen=True)
