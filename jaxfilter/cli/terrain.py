@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..terrain.layers import LAYERS
-from ..terrain.raster import RASTER_SUFFIXES
 from .commands import command, main
 from .options import (
     BOUNDS,
@@ -105,6 +104,7 @@ def layer_command(name: str) -> click.Command:
         from ..files.storage import place_of
         from ..surveys.model import Rasters, make_rasters
         from ..terrain.interpolation import Interpolation
+        from ..terrain.raster import RASTER_SUFFIXES
 
         layer = take(kind, options)
         if kind.OF_RASTER and len(names) == 2 and Path(names[0]).suffix.lower() in RASTER_SUFFIXES:
