@@ -126,7 +126,6 @@ def layer_command(name: str) -> click.Command:
 def _of_raster(layer: Layer, names: tuple[str, ...], options: dict[str, Any], own: set[str]) -> Answer:
     """What is made of a raster of heights. Raises BadUsage for options that are about points."""
     from ..files.storage import place_of
-    from ..terrain.derived import make_of_raster
 
     context, (source, out) = click.get_current_context(), names
     for one in context.command.params:
@@ -135,8 +134,8 @@ def _of_raster(layer: Layer, names: tuple[str, ...], options: dict[str, Any], ow
             raise BadUsage(f"{one.opts[0]} is about points, and {source} is a raster: leave it out")
     check_inputs([source])
     check_target(place_of(out), options["overwrite"], layer.SUFFIXES)
-    text = make_of_raster(layer, Path(source), place_of(out), overwrite=options["overwrite"])
-    return Answer({"input": source, "output": out}, f"{out}: {text}")
+    layer.from_raster(Path(source), place_of(out), options["overwrite"])
+    return Answer({"input": source, "output": out}, f"{out}: {layer.NAME} of {source}")
 
 
 def _option_of(field: dataclasses.Field[Any]) -> click.Option:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import ParameterError, check_positive
+from ..core.errors import InputError, ParameterError, check_positive
 from ..files.disk import check_suffix
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES, write_features
@@ -48,6 +48,13 @@ class Contours(Layer):
     @property
     def cells(self) -> Layer:
         return Dtm()
+
+    def from_raster(self, source: Path, target: Place, overwrite: bool) -> None:
+        """Write the lines. Raises: InputError if there are none; OutputError."""
+        with Rows.of(source) as (_, _, crs):
+            system = crs, metres_per_unit(crs)
+        if not write_contours(self, source, target, system, overwrite=overwrite):
+            raise InputError(f"{source}: {self.none}")
 
     @property
     def none(self) -> str:

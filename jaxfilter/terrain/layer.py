@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..core.points import check_extent
 from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
+from ..files.storage import Place
 from .edge import Edge, EdgeRule, Part
 from .interpolation import Heights, Interpolation
 from .levels import WaterRuns, levels_of
@@ -39,7 +41,7 @@ class Layer:
         KIND: the type of the values in files, in which ``NODATA`` stands for none. SUFFIXES: of files, the usual one first.
         STYLE: a colour map of Matplotlib, for pictures, or "relief".
         SURFACE: it needs a surface through the ground. MODEL: it shows the terrain model, and what its command says of the
-            interpolation of heights counts. OF_RASTER: it can be made of a raster of heights (``derived.py``).
+            interpolation of heights counts. OF_RASTER: it can be made of a raster of heights, by :meth:`from_raster`.
     """
 
     NAME: ClassVar[str] = ""
@@ -71,6 +73,10 @@ class Layer:
         """f32[rows, columns]: the values of a layer without ``parts``, after what only all tiles together know: where the ground
         ends, and the level of water."""
         return values
+
+    def from_raster(self, source: Path, target: Place, overwrite: bool) -> None:
+        """Write what the heights in a raster file give. Raises: InputError, OutputError."""
+        raise NotImplementedError
 
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
         """f32[rows, columns]: the values, out of those of ``parts``."""

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +16,9 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import ParameterError, check_positive
 from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult
-from ..core.units import Units
+from ..core.units import Units, vertical
 from ..files.disk import check_suffix
-from ..files.storage import place_of
+from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES, write_features
 from .edge import Edge
 from .interpolation import Linear, nearest_point
@@ -25,7 +26,7 @@ from .layer import Layer, Site, ground_of, setting
 from .levels import WaterRuns, levels_in, outlines
 from .models import Dtm, heights_of
 from .outline import blocks_of, count_in, occupied, places_of
-from .raster import Raster, RasterGrid
+from .raster import Band, Raster, RasterGrid, metres_per_unit, packed, profile_of, write_mosaic
 
 if TYPE_CHECKING:
     import geopandas
@@ -157,6 +158,17 @@ class Hillshade(Layer):
 
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
         return self.shade(known[Dtm()], grid.cell, units.z / units.xy)
+
+    def from_raster(self, source: Path, target: Place, overwrite: bool) -> None:
+        """Write the relief, as a Cloud Optimized GeoTIFF. Raises: InputError, OutputError."""
+        model = Raster.read(source)
+        metre = metres_per_unit(model.crs)
+        high = metre if vertical(model.crs) is None else model.crs.axis_info[-1].unit_conversion_factor
+        values = packed(self.shade(model.values, model.cell, high / metre), self.KIND, self.NODATA)
+        grid = RasterGrid(model.cell, 0, 0, values.shape[1], values.shape[0])
+        profile = profile_of(grid.shape, model.transform, model.crs, self.KIND, self.NODATA)
+        band = Band(self.TITLE, self.UNITS, model.crs)
+        write_mosaic(target, grid, profile, lambda: [(grid, values)], band, overwrite=overwrite)
 
     def shade(self, z: np.ndarray, cell: float, z_factor: float) -> np.ndarray:
         """f32[rows, columns], of heights f32[rows, columns]."""
