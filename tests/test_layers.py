@@ -448,9 +448,9 @@ def test_files_say_what_their_values_are_and_may_have_the_cells_of_another(surve
         tmp_path / "moved.tif"
     )
     with pytest.raises(jf.InputError, match="multiples of their side, 2"):
-        jf.terrain_model(survey / "in", tmp_path / "x.tif", like=moved)
+        jf.terrain_model(survey / "in", tmp_path / "x.tif", cell=moved)
     with pytest.raises(jf.ParameterError, match=r"nodata=0\.1: must be a number that float32 can hold"):
-        jf.terrain_model(survey / "in", tmp_path / "x.tif", nodata=0.1)
+        jf.products(survey / "in", tmp_path / "x", (2,), nodata=0.1)
 
 
 def test_one_file_may_go_to_standard_output(survey, done, tmp_path):

@@ -114,7 +114,7 @@ def layer_command(name: str) -> click.Command:
         files = open_files(session, names, options, layer.SUFFIXES)
         assert files.out is not None
         cell, side = _side(files, options)
-        wanted = Rasters({layer: place_of(files.out)}, cell, how, like=options["like"], nodata=options["nodata"])
+        wanted = Rasters({layer: place_of(files.out)}, options["like"] or cell, how, nodata=options["nodata"])
         report = files.do(make_rasters, wanted, ground)
         if report.forecast is not None:
             return plan_answer(report.forecast)
@@ -201,14 +201,16 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         raise BadUsage(
             "--classes and --classified: files that are classified are not written: leave out one of the two"
         )
-    only = None if options["only"] is None else options["only"].replace(" ", "").split(",")
+    only = list(LAYERS) if options["only"] is None else options["only"].replace(" ", "").split(",")
+    with_settings = {"contours": {"interval": options["interval"]}, "hillshade": {"azimuth": options["azimuth"]}}
+    layers = [LAYERS[name].kind(**with_settings[name]) if name in with_settings else name for name in only]
     if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
         raise BadUsage(f"{names[-1]}: products are several files: name a folder")
     check_shapes(options, options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
     cell, side = _side(files, options)
-    how = {"only": only, "cell": cell, "classes": classes, "breaklines": options["breaklines"]}
-    how |= {name: options[name] for name in ("interval", "azimuth", "like", "nodata")}
+    how = {"only": layers, "cell": options["like"] or cell, "classes": classes, "breaklines": options["breaklines"]}
+    how |= {"nodata": options["nodata"]}
     how["interpolation"] = Interpolation(max_gap=options["max_gap"], max_edge=options["max_edge"])
     made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast

@@ -83,7 +83,7 @@ class RasterProduct(GroundNeeded):
     def reach(self) -> float:
         """As far as the layers look, and the disc that finds the edge."""
         looks = (layer.reach(self.grain) for layer in self._bases)
-        return max(*looks, 2 * (self._edge.limit + self.grain) - HALOS[0], 0.0)
+        return max(*looks, 2 * (self._edge.limit + self.grain) - HALOS[0] if self.interpolation.ends else 0.0, 0.0)
 
     @property
     def _bases(self) -> list[Layer]:
@@ -226,9 +226,7 @@ def terrain_model(
     target: str | Path,
     ground: GroundSource = (GROUND_CLASS,),
     *,
-    cell: float = 1.0,
-    like: str | Path | None = None,
-    nodata: float | None = None,
+    cell: float | str | Path = 1.0,
     interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     run: RunOptions = RunOptions(),
@@ -243,9 +241,7 @@ def terrain_model(
         target: .tif or .tiff; may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``), where the file appears whole or
             not at all; then the hidden folder lies in ``run.work``.
         ground: what is ground, as in :func:`jaxfilter.heights`. With class 40, the bed of waters, no water is level.
-        cell: side of a cell; its edges are whole multiples of it, all in file units.
-        like: a raster file whose cells the model has, instead of ``cell`` and ``bounds``.
-        nodata: what stands for no height in the file, by default -9999.
+        cell: side of a cell; its edges are whole multiples of it, all in file units. Or a raster file whose cells the model has.
         interpolation: as in :func:`jaxfilter.dtm`, see :class:`Interpolation`.
         reading: as in :func:`jaxfilter.ground`; its ``bounds`` are those of the raster, and points around them take part.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
@@ -257,20 +253,19 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation, like=like, nodata=nodata)
+    rasters = Rasters({Dtm(): place_of(target)}, cell, interpolation)
     return make_rasters(what, rasters, ground, reading=reading, run=run)
 
 
 @dataclasses.dataclass(frozen=True)
 class Rasters:
     """Layers to be made: ``places`` says where each goes, several of them in one folder. ``water``: how they come to know of it;
-    the others are those of :func:`terrain_model`."""
+    ``nodata``: what stands for no value in float32, by default -9999; the others are those of :func:`terrain_model`."""
 
     places: Mapping[Layer, Place]
-    cell: float = 1.0
+    cell: float | str | Path = 1.0
     interpolation: Interpolation = Interpolation()
     water: WaterWanted = WaterWanted()
-    like: str | Path | None = None
     nodata: float | None = None
 
 
@@ -297,8 +292,8 @@ def make_rasters(
         abs(rasters.nodata) < 1e38 and rasters.nodata == float(np.float32(rasters.nodata))
     ):
         raise ParameterError(f"nodata={rasters.nodata!r}: must be a number that float32 can hold, such as -999999")
-    if rasters.like is not None:
-        grid = grid_like(rasters.like, collection.crs)
+    if isinstance(cell, (str, Path)):
+        grid = grid_like(cell, collection.crs)
     else:
         grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
     targets = Targets(places, called="products" if len(places) > 1 else "")

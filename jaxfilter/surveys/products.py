@@ -15,6 +15,7 @@ from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES
 from ..terrain.interpolation import Interpolation
+from ..terrain.layer import Layer
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
@@ -49,13 +50,10 @@ def products(
     out: str | Path,
     ground: GroundSource | None = None,
     *,
-    only: Iterable[str] | None = None,
-    cell: float = 1.0,
-    like: str | Path | None = None,
+    only: Iterable[str | Layer] | None = None,
+    cell: float | str | Path = 1.0,
     nodata: float | None = None,
     interpolation: Interpolation = Interpolation(),
-    interval: float = 1.0,
-    azimuth: float = 315.0,
     reading: Reading = Reading(),
     classes: Classes = Classes(),
     breaklines: str | Path | None = None,
@@ -72,10 +70,11 @@ def products(
         out: a folder, made if missing; a URL needs ``run.work``.
         ground: the filter, by default the default method, set up for the data; or classes of points that are ground already,
             as in :func:`jaxfilter.heights`, and then no files are classified.
-        only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
-        cell: side of the cells of rasters, in file units. like, nodata: as in :func:`jaxfilter.terrain_model`.
+        only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md). Or layers with
+            other settings, such as ``jf.dsm.replace(gap=5.0)``.
+        cell: side of the cells of rasters, in file units, or a raster file whose cells they have.
+        nodata: what stands for no value in rasters of float32, by default -9999.
         interpolation: of heights between ground points, see :class:`Interpolation`.
-        interval: of contour lines, in units of Z; azimuth: of the light of the hillshade, degrees.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
             terrain is level, see :func:`jaxfilter.breaklines`.
@@ -89,15 +88,16 @@ def products(
     """
     from ..reports.survey_page import write_survey_page
 
-    names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
+    asked, folder = list(LAYERS if only is None else only), place_of(out)
+    given = {layer.NAME: layer for layer in asked if isinstance(layer, Layer)}
+    names = [layer.NAME if isinstance(layer, Layer) else layer for layer in asked]
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
         raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     if isinstance(folder, Path) and folder.is_file():
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
-    settings = {"contours": {"interval": interval}, "hillshade": {"azimuth": azimuth}}
-    layers = [entry.kind(**settings.get(name, {})) for name, entry in LAYERS.items() if name in names]
+    layers = [given.get(name) or entry.kind() for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)
     if outlined is not None:
@@ -118,7 +118,7 @@ def products(
     if isinstance(source, Filter | Recipe):
         classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell, interpolation, like=like), source, reading=reading, run=run)
+        tried = make_rasters(what, Rasters(outputs, cell, interpolation), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
@@ -127,7 +127,7 @@ def products(
         what = classified.files
         source = (classes.ground_class,)
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined), like, nodata)
+    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined), nodata)
     rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     size = f"{rasters.rows:,} x {rasters.columns:,} of {rasters.transform[0]:g}"

@@ -166,8 +166,9 @@ class Raster:
             values = rows.read(0, rows.number)
             with rasterio.open(path) as file:
                 nodata, kind = file.nodata, str(file.dtypes[0])
+                words = file.descriptions[0] or cls.title, file.units[0] or cls.units
         kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
-        return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
+        return cls(values, transform, crs, NODATA if nodata is None else nodata, kind, *words)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,7 +348,7 @@ class Band(NamedTuple):
             file.set_band_unit(1, self.units)
         elif crs is not None:
             file.set_band_unit(1, crs.axis_info[-1].unit_name)
-        if self.units == HEIGHTS and "height of" in self.title:
+        if self.title.startswith("height of"):
             file.update_tags(VERTICAL_DATUM=(crs and height_datum(crs)) or "unknown")
 
 
