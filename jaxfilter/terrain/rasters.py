@@ -181,7 +181,7 @@ class Hillshade(Layer):
         azimuth, altitude = math.radians(self.azimuth), math.radians(self.altitude)
         along = east * math.sin(azimuth) + north * math.cos(azimuth)  # up, on the way to the sun
         light = (math.sin(altitude) - math.cos(altitude) * along) / np.sqrt(1 + east * east + north * north)
-        return np.floor(1.5 + 254 * np.maximum(light, 0.0)).astype(np.float32)
+        return np.floor(1.5 + 254 * np.maximum(np.where(np.isnan(e), np.nan, light), 0.0)).astype(np.float32)
 
 
 def hillshade(model: Raster, azimuth: float = 315.0, altitude: float = 45.0, z_factor: float = 1.0) -> Raster:
