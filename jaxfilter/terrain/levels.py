@@ -157,8 +157,8 @@ class WaterRuns:
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates.
 
-        A place is in water if half of the four cells around it are, by their distance, so that a slanting shore has no stairs of single cells. The level
-        is linear between the middles of blocks, so that it falls evenly.
+        A place is in water if half of the four cells around it are, by their distance, so that a slanting shore has no stairs of
+        single cells. The level is linear between the middles of blocks, so that it falls evenly.
         """
         side, x0, y0, metre, factor = self.frame
         place = [np.rint((v - v0) * (metre / SNAP)) * (SNAP / side) for v, v0 in ((y, y0), (x, x0))]
