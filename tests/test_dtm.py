@@ -13,12 +13,13 @@ import rasterio
 import xarray
 from commands import assert_one_line, done, facts, run
 from scipy.interpolate import LinearNDInterpolator
+from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.spatial import Delaunay
 from scipy.spatial.distance import cdist
 
 import jaxfilter as jf
 from jaxfilter.core.cloud import QUANTUM
-from jaxfilter.terrain import accuracy, models
+from jaxfilter.terrain import accuracy, outline
 
 ORIGIN = np.array([447_312.4, 5_301_208.7, 0.0])
 NATURAL = pytest.param(
@@ -84,7 +85,7 @@ def test_linear_methods_are_exact_on_planes_and_levels(rng, method):
 
 def test_tin_is_the_linear_interpolator_of_scipy(rng):
     cloud = scattered(rng, n=400, size=20.0)
-    raster = model(cloud, cell=0.5)
+    raster = model(cloud, cell=0.5, max_edge=math.inf)
     local = cloud.xyz.astype(np.float64)
     where = at_centres(raster) - cloud.origin[:2]
     expected = LinearNDInterpolator(Delaunay(local[:, :2]), local[:, 2])(where) + cloud.origin[2]
@@ -160,6 +161,36 @@ def test_no_height_outside_the_hull_unless_filled(rng, method):
     near = jf.dtm(cloud, ground, method=method, fill=True, max_gap=3.0)
     distance = cdist(at_centres(raster).reshape(-1, 2), xy[ground]).min(axis=1).reshape(raster.values.shape)
     np.testing.assert_array_equal(np.isnan(near.values), distance > 3.0)
+
+
+def test_the_model_ends_where_points_are_farther_apart_than_the_largest_edge(rng):
+    """Triangles that long edges lead to from outside have no cells, by SciPy's triangulation; a void in the midst is bridged."""
+    cloud = scattered(rng, n=6000, size=80.0)
+    xy = cloud.coordinates()[:, :2] - ORIGIN[:2]
+    void = (np.abs(xy - [20, 40]) < 9).all(axis=1)
+    notch = (np.abs(xy - [60, 72]) < [7, 12]).all(axis=1) | (np.abs(xy - [78, 20]) < [30, 1]).all(axis=1)
+    ground = ~(void | notch | (xy @ [1, 1] < 30 + 3 * np.sin(xy[:, 0])))
+    raster = jf.dtm(cloud, ground, cell=0.5, max_edge=4.0)
+    tin = Delaunay(xy[ground])
+    corners = tin.points[tin.simplices]
+    length = np.hypot(*np.moveaxis(np.roll(corners, -2, 1) - np.roll(corners, -1, 1), -1, 0))  # opposite to each corner
+    gone, open_ = np.zeros(len(corners), bool), [-1]
+    while len(open_):
+        behind = (np.isin(tin.neighbors, open_) & (length > 4.0)).any(axis=1) & ~gone
+        gone, open_ = gone | behind, np.flatnonzero(behind)
+    at = tin.find_simplex(at_centres(raster) - ORIGIN[:2])
+    expected = (at >= 0) & ~gone[at]
+    differ = np.isfinite(raster.values) != expected
+    near = binary_dilation(expected, iterations=2) & ~binary_erosion(
+        expected, iterations=4
+    )  # the disc dips in between points
+    assert not (differ & ~near).any() and differ.mean() < 0.02
+    middle = np.abs(at_centres(raster) - ORIGIN[:2] - [20, 40]).max(axis=-1) < 9
+    assert np.isfinite(raster.values[middle]).all() and gone.sum() > 50
+    for layer in (jf.count, jf.density, jf.voids):
+        other = layer(cloud, ground, cell=0.5)
+        assert np.isnan(other.values[np.hypot(*np.moveaxis(at_centres(other) - ORIGIN[:2], -1, 0)) < 10]).all()
+    assert jf.count(cloud, ground, cell=0.5).values[expected & ~near].min() == 0
 
 
 @EVERY
@@ -413,7 +444,7 @@ def test_only_cells_near_reference_ground_count(rng):
 def test_cells_come_in_blocks_and_are_counted(rng, monkeypatch):
     cloud, seen = scattered(rng), []
     whole = model(cloud)
-    monkeypatch.setattr(models, "_CELLS", 100)
+    monkeypatch.setattr(outline, "CELLS_AT_ONCE", 100)
     np.testing.assert_array_equal(model(cloud, progress=lambda f, step: seen.append((f, step))).values, whole.values)
     fractions = [f for f, _ in seen]
     assert len(fractions) > 10 and fractions == sorted(fractions) and 0.0 <= fractions[0] <= fractions[-1] < 1.0

@@ -20,6 +20,7 @@ from las_files import las_of
 
 import jaxfilter as jf
 from jaxfilter.files.disk import UNFINISHED
+from jaxfilter.surveys.kept import WATER_FILE
 
 pytestmark = [
     pytest.mark.usefixtures("plain_maps"),
@@ -210,7 +211,8 @@ def test_a_run_that_is_stopped_at_any_change_of_a_file_and_resumed_has_the_files
             pytest.fail(f"an input is gone at change {at}")
         if alone_in_place and contents(work) == expected:
             continue
-        assert contents(work) == before or not alone_in_place, f"{kind} before change {at} of {changes}"
+        left = {name: one for name, one in contents(work).items() if not str(name).endswith(WATER_FILE)}  # comes first
+        assert left == before or not alone_in_place, f"{kind} before change {at} of {changes}"
         act(resume=True)
         assert contents(work) == expected, f"{kind} before change {at} of {changes}"
         if "in-place" in command or command == "apply":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import geopandas
 import numpy as np
 import pytest
@@ -58,14 +60,15 @@ def test_a_river_falls_along_its_course_and_is_level_across():
 
 def test_a_level_river_has_one_height_and_land_is_as_it_was():
     cloud = valley(0.0)
-    model, raw = jf.dtm(cloud), jf.dtm(cloud, level_water=False)
+    model, raw = jf.dtm(cloud), jf.dtm(cloud, level_water=False, max_edge=math.inf)
     (outline,) = jf.breaklines(cloud).itertuples()
     x, y = np.meshgrid(*model.centres())
     inside = shapely.contains_xy(outline.geometry, x, y)
     outside = ~shapely.intersects_xy(outline.geometry, x, y)
     assert outline.fall == 0 and abs(outline.elevation - 100) < 0.01
     assert np.unique(model.values[inside]).tolist() == [np.float32(outline.elevation)]
-    np.testing.assert_array_equal(model.values[outside], raw.values[outside])
+    land = outside & np.isfinite(model.values)
+    np.testing.assert_array_equal(model.values[land], raw.values[land])
     assert np.nanstd(raw.values[inside]) > 0.01
     canopy = jf.chm.replace(gap=20.0)(cloud)
     surface = jf.dsm.replace(gap=20.0)(cloud)
@@ -144,8 +147,9 @@ def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more):
     np.testing.assert_array_equal(jf.Raster.read(tmp_path / "part.tif").values, model.values[80:110, 90:150])
 
 
-def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path):
-    """By OST: labels, outlines and levels of a river that goes through four files."""
+@pytest.mark.parametrize("number", [9, None])
+def test_water_that_is_found_in_tiles_is_that_of_the_whole_and_remembered(tmp_path, number):
+    """By OST: labels, outlines and levels of a river through four files; and of later models of the classified ones."""
     layout = jf.scenes.SceneLayout(relief=4, landform=128, river=28, water_echoes=0.8, forest=0, settlement=0)
     scene = jf.scenes.make(layout, size=(440, 180), density=0.7, seed=7)
     x = scene.xyz[:, 0] - scene.origin[0]
@@ -153,11 +157,12 @@ def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path):
     filter_ = jf.OST.for_cloud(cloud)
     result = filter_(cloud)
     run = jf.RunOptions(workers=1, tile=90.0, wide_halos=True)
-    how = {"reading": METRES, "classes": jf.Classes(water=9), "run": run, "cell": 2.0}
+    how = {"reading": METRES, "classes": jf.Classes(water=number), "run": run, "cell": 2.0}
     made = jf.products(
         tmp_path / "in", tmp_path / "out", filter_, only=["dtm"], breaklines=tmp_path / "w.geojson", **how
     )
-    assert made.ground is not None and made.ground.tiles > 3 and made.ground.classes[0, 9] == result.water.sum() > 1000
+    assert made.ground is not None and made.ground.tiles > 3 and result.water.sum() > 1000
+    assert number is None or made.ground.classes[0, 9] == result.water.sum()
     whole = jf.breaklines(cloud, result)
     outlines = geopandas.read_file(tmp_path / "w.geojson")
     assert len(outlines) == len(whole) > 0
@@ -169,6 +174,20 @@ def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path):
     np.testing.assert_allclose(made_model[inside], model[inside], atol=1e-3)
     for one in whole.geometry:
         assert np.ptp(made_model[shapely.contains_xy(one, x, y)]) == 0
+    classified = tmp_path / "out" / "classified"
+
+    def assert_same(name, **more):
+        jf.terrain_model(classified, tmp_path / name, cell=2.0, reading=METRES, **more)
+        np.testing.assert_array_equal(jf.Raster.read(tmp_path / name).values, made_model)
+
+    assert_same("later.tif")
+    assert_same("tiles.tif", run=run)
+    places = jf.review(cloud, result).iloc[:1].assign(verdict="fine")
+    jf.apply_survey(places, classified, reading=METRES)
+    assert_same("after.tif")
+    (classified / "jaxfilter-water.npz").write_bytes(b"PK\x03\x04")
+    with pytest.raises(jf.InputError, match=r"jaxfilter-water\.npz: is damaged"):
+        assert_same("damaged.tif")
 
 
 def test_the_bed_that_is_named_as_ground_is_the_terrain(tmp_path):

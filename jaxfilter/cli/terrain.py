@@ -21,7 +21,9 @@ from .options import (
     READING,
     RUN_OPTIONS,
     Files,
+    check_inputs,
     check_shapes,
+    check_target,
     open_files,
     take,
     take_classes,
@@ -29,12 +31,13 @@ from .options import (
 )
 from .output import SESSION, Answer, answer_of, count, in_session, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
-from .values import BOX, CLASS, IN_OUT, METRES, option
+from .values import BOX, CLASS, IN_OUT, INPUT, METRES, option
 
 if TYPE_CHECKING:
     from ..surveys.model import TerrainReport
     from ..surveys.report import RunReport
     from ..surveys.surroundings import GroundSource
+    from ..terrain.layer import Layer
 
 
 CELL = [
@@ -42,10 +45,20 @@ CELL = [
     option(
         "--cell-units", "Unit of --cell: that of the files, or metres.", click.Choice(["file", "m"]), default="file"
     ),
+    option("--like", "A raster whose cells the new rasters have, instead of --cell and bounds.", INPUT),
+    option("--nodata", "Number that stands for no value in rasters of decimal numbers.  [default: -9999]", float),
 ]
+_GAP = option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float)
+_LARGEST_EDGE = option(
+    "--max-edge",
+    "The model ends where ground points at its edge are farther apart, in metres; inf: at their hull.  [default: 5 m and 3 "
+    "times their spacing]",
+    float,
+)
 _MODEL = [
     option("--method", "Interpolation: tin, natural, idw or kriging.", default="tin"),
-    option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float),
+    _GAP,
+    _LARGEST_EDGE,
     option("--fill", "Give cells outside the hull of the ground points a height too.", bool),
     option("--neighbours", "Number of nearest ground points that idw and kriging use.", int, default=12),
     option("--power", "Power of the distance that idw uses.", float, default=2.0),
@@ -74,11 +87,12 @@ def layer_command(name: str) -> click.Command:
     """The command of a layer, with its settings as options."""
     kind = LAYERS[name].kind
     form = "a GeoPackage or GeoJSON" if kind.SUFFIXES[0] == ".gpkg" else "a Cloud Optimized GeoTIFF"
+    of_raster = "IN may be a raster of heights (.tif) as well: nothing is triangulated anew.\n\n    " * kind.OF_RASTER
     help = f"""Make {LAYERS[name].help}, as {form}.
 
     IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs.
 
-    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells begin at
+    {of_raster}The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells begin at
     multiples of --cell, in the CRS and units of IN. If OUT is -, the file goes to standard output.
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
@@ -89,19 +103,38 @@ def layer_command(name: str) -> click.Command:
         from ..files.storage import place_of
         from ..surveys.model import Rasters, make_rasters
         from ..terrain.interpolation import Interpolation
+        from ..terrain.raster import RASTER_SUFFIXES
 
         layer = take(kind, options)
+        if kind.OF_RASTER and len(names) == 2 and Path(names[0]).suffix.lower() in RASTER_SUFFIXES:
+            return _of_raster(layer, names, options, {field.name for field in dataclasses.fields(kind)})
         how = take(Interpolation, options)
         ground = _ground(options)
         files = open_files(session, names, options, layer.SUFFIXES)
         assert files.out is not None
         cell, side = _side(files, options)
-        report = files.do(make_rasters, Rasters({layer: place_of(files.out)}, cell, how), ground)
+        wanted = Rasters({layer: place_of(files.out)}, options["like"] or cell, how, nodata=options["nodata"])
+        report = files.do(make_rasters, wanted, ground)
         if report.forecast is not None:
             return plan_answer(report.forecast)
         return _answer(report, files, f"{_cells(report, side)}\n{name}: ", "cell")
 
     return click.Command(name, params=[IN_OUT, *CELL, *own, *shared, *SESSION], help=help, callback=in_session(run))
+
+
+def _of_raster(layer: Layer, names: tuple[str, ...], options: dict[str, Any], own: set[str]) -> Answer:
+    """What is made of a raster of heights. Raises BadUsage for options that are about points."""
+    from ..files.storage import place_of
+
+    context, (source, out) = click.get_current_context(), names
+    for one in context.command.params:
+        given = context.get_parameter_source(str(one.name)) is click.core.ParameterSource.COMMANDLINE
+        if given and isinstance(one, click.Option) and one.name in options and one.name not in (*own, "overwrite"):
+            raise BadUsage(f"{one.opts[0]} is about points, and {source} is a raster: leave it out")
+    check_inputs([source])
+    check_target(place_of(out), options["overwrite"], layer.SUFFIXES)
+    layer.from_raster(Path(source), place_of(out), options["overwrite"])
+    return Answer({"input": source, "output": out}, f"{out}: {layer.NAME} of {source}")
 
 
 def _option_of(field: dataclasses.Field[Any]) -> click.Option:
@@ -113,8 +146,10 @@ def _option_of(field: dataclasses.Field[Any]) -> click.Option:
 
 
 def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
-    """Of a cell, in file units, and with its unit in words."""
+    """Of a cell, in file units, and with its unit in words, which are empty for those of another raster."""
     units, cell = files.collection.units, options["cell"]
+    if options["like"] is not None:
+        return cell, ""
     if options["cell_units"] == "file" or units.xy == 1.0:
         return cell, f"{cell:g} {units.name}"
     return cell / units.xy, f"{cell:g} m ({cell / units.xy:.6g} {units.name})"
@@ -122,6 +157,7 @@ def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
 
 def _cells(report: TerrainReport, side: str) -> str:
     """What rasters are, in words."""
+    side = side or f"{report.transform[0]:g} units"
     text = f"{report.rows:,} x {report.columns:,} cells of {side} through {report.ground:,} ground points"
     return f"{text}, {report.empty:,} cells without a value"
 
@@ -133,6 +169,12 @@ def _cells(report: TerrainReport, side: str) -> str:
     PRESET_OF_CLASSES,
     option(
         "--ground-class known", "Points of this class of IN are the ground; classify no files.", CLASS, multiple=True
+    ),
+    _GAP,
+    _LARGEST_EDGE,
+    option("--interval", "Difference of elevation between contours, in units of Z.", float, default=1.0),
+    option(
+        "--azimuth", "Where the light of the hillshade comes from, degrees from north to east.", float, default=315.0
     ),
     option("--only", f"What is made, with commas between: {','.join(LAYERS)}.  [default: everything]", "NAMES"),
     *CELL,
@@ -150,6 +192,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     """
     from ..files.classes import Classes
     from ..surveys.products import products as make_products
+    from ..terrain.interpolation import Interpolation
 
     recipe, classes, known = take_recipe(options), take_classes(options), options.pop("known")
     if recipe is not None and known:
@@ -160,13 +203,17 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         raise BadUsage(
             "--classes and --ground-class: no classified files are written if the ground is known: leave out one of the two"
         )
-    only = None if options["only"] is None else options["only"].replace(" ", "").split(",")
+    only = list(LAYERS) if options["only"] is None else options["only"].replace(" ", "").split(",")
+    with_settings = {"contours": {"interval": options["interval"]}, "hillshade": {"azimuth": options["azimuth"]}}
+    layers = [LAYERS[name].kind(**with_settings[name]) if name in with_settings else name for name in only]
     if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
         raise BadUsage(f"{names[-1]}: products are several files: name a folder")
     check_shapes(options, options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
     cell, side = _side(files, options)
-    how = {"only": only, "cell": cell, "classes": classes, "breaklines": options["breaklines"]}
+    how = {"only": layers, "cell": options["like"] or cell, "classes": classes, "breaklines": options["breaklines"]}
+    how |= {"nodata": options["nodata"]}
+    how["interpolation"] = Interpolation(max_gap=options["max_gap"], max_edge=options["max_edge"])
     made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast
     if plan is not None:

@@ -54,7 +54,8 @@ def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option
         kind, more["metavar"] = None, kind
     if more.get("multiple"):
         help = help.replace(".", "; may be repeated.", 1)
-    return click.Option(flags.split(), help=help, type=kind, is_flag=kind is bool, **more)
+    switch = True if kind is bool else None  # False would let the value be left out, and no value could begin with -
+    return click.Option(flags.split(), help=help, type=kind, is_flag=switch, **more)
 
 
 def on_command_line(names: Iterable[str]) -> dict[str, Any]:

@@ -299,7 +299,7 @@ def _with_heights(
         datum = _epsg(keys.get(_VERTICAL_DATUM) or keys[_VERTICAL], Datum)
         heights = datum and _heights(f"{datum.name} height", datum.name, unit)
     elif abs(unit[0] / _unit_of(heights)[0] - 1) > 1e-7:
-        heights = _heights(f"{heights.name} ({unit[1]})", _height_datum(heights), unit)
+        heights = _heights(f"{heights.name} ({unit[1]})", height_datum(heights), unit)
     return crs if heights is None else pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
@@ -346,7 +346,7 @@ def vertical(crs: pyproj.CRS | None) -> str | None:
     return next((part.name for part in parts if part.is_vertical), None)
 
 
-def _height_datum(crs: pyproj.CRS) -> str | None:
+def height_datum(crs: pyproj.CRS) -> str | None:
     """What heights count from, by PROJ's name for it; None if the CRS does not say it."""
     heights = _parts(crs)[-1]
     if not heights.is_vertical:
@@ -366,7 +366,7 @@ def difference(one: pyproj.CRS, other: pyproj.CRS) -> tuple[str, str] | None:
         alike = flat[0].name == flat[1].name and all(part.axis_info for part in flat)
         names = [f"{part.name} in {part.axis_info[0].unit_name}" if alike else part.name for part in flat]
         return names[0], names[1]
-    if len({_height_datum(one), _height_datum(other)} - {None}) > 1:
+    if len({height_datum(one), height_datum(other)} - {None}) > 1:
         return str(vertical(one)), str(vertical(other))
     return None
 
@@ -412,7 +412,7 @@ def for_outputs(crs: pyproj.CRS | None) -> pyproj.CRS | None:
     try:
         text = flat.to_wkt("WKT1_GDAL")
         if crs.is_compound:
-            coded = _epsg(heights.to_epsg()) or _heights(heights.name, _height_datum(crs), _unit_of(heights))
+            coded = _epsg(heights.to_epsg()) or _heights(heights.name, height_datum(crs), _unit_of(heights))
             if coded is not None:  # as text: CompoundCRS leaves out the code of the unit
                 return pyproj.CRS.from_wkt(f'COMPD_CS["{crs.name}",{text},{coded.to_wkt("WKT1_GDAL")}]')
     except pyproj.exceptions.CRSError:

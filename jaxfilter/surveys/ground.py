@@ -21,7 +21,7 @@ from ..files.vectors import VECTOR_SUFFIXES
 from ..files.writing import Additions, Replacing, check_extra, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
-from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
+from .kept import WaterWanted, kept_water, list_places, list_water, remember, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
@@ -93,6 +93,7 @@ class GroundProduct(Product):
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
         list_places(self, report, collection, self.review, options.overwrite or options.resume)
         list_water(self, report, collection, self.water, options.overwrite or options.resume)
+        remember(report.water, targets, self.classes.water)
 
     def facts(self) -> dict[str, Any]:
         """Classes and quantities."""
@@ -128,7 +129,8 @@ def ground(
 ) -> RunReport:
     """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
 
-    Every file is written as it was, with classes changed, when all its points have labels. What is large goes in tiles that see
+    Every file is written as it was, with classes changed, when all its points have labels. If there is water, the file
+    ``jaxfilter-water.npz`` beside the outputs tells later models of these files where it is. What is large goes in tiles that see
     their surroundings, across files. A folder beside the output holds what is done of tiles, so that a run that was stopped, in
     whatever way, goes on with ``resume``; the files are those of an undisturbed run.
 

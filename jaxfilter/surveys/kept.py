@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+import zipfile
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,18 +13,23 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, warn
+from ..core.errors import DAMAGED, InputError, warn
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
+from ..files.disk import is_there, new_file, output_errors
+from ..files.storage import Place, Remote, place_of
 from ..files.vectors import write_features
 from ..terrain.levels import WaterRuns, outlines
 from .area import within
 from .collection import Collection, common
 from .product import KEPT, Product
 from .report import RunReport
+from .targets import Targets
 from .tiles import Around, Tile
 
+WATER_FILE = "jaxfilter-water.npz"
+"""Name of the file, beside files of points or after the name of one and a dot, that tells later models of their water."""
 _SUSPECTS, _AREA = (f"{KEPT}{name}" for name in ("suspects", "area"))
 
 
@@ -66,17 +74,69 @@ class WaterWanted:
     """How rasters come to know of water.
 
     Attributes:
-        seeks: tiles look for it. known: it is known already, and tiles only keep what has to be made anew where it is.
-        levels: what is known; only the process has it that ends the run. path: a file for outlines.
+        seeks: tiles look for it.
+        levels: what is known; only the process has it that ends the run. classes: of points of this water, which are ground.
+        path: a file for outlines.
     """
 
     seeks: bool = True
-    known: bool = False
     levels: WaterRuns | None = None
+    classes: tuple[int, ...] = ()
     path: Path | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"levels": None}
+
+
+def remembered(wanted: WaterWanted, uris: Iterable[str]) -> WaterWanted:
+    """With the water that the runs knew of that have classified files, if they have left it beside them. Raises: InputError if
+    what they left is damaged, or was made with another anchor."""
+    places = [place_of(uri) for uri in uris]
+    beside = [_beside(place, WATER_FILE) for place in places]
+    beside += [_beside(place, f"{place.name}.{WATER_FILE}") for place in places if isinstance(place, Path)]
+    parts, classes, found = list[WaterRuns](), set[int](), False
+    for file in dict.fromkeys(beside):
+        if not (file.exists(InputError) if isinstance(file, Remote) else file.is_file()):
+            continue
+        found = True
+        try:
+            with file.open() if isinstance(file, Remote) else file.open("rb") as stream:
+                arrays = dict(np.load(io.BytesIO(stream.read())))
+            classes |= set(arrays.pop("classes").tolist())
+            parts += [WaterRuns(**arrays)] if len(arrays["run"]) else []
+        except (*DAMAGED, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{file}: is damaged ({error}): remove it, or classify the files anew") from error
+        if parts and not np.array_equal(parts[0].frame, parts[-1].frame):
+            raise InputError(
+                f"{file}: its water has another anchor or unit than that of other files: make a model of each"
+            )
+    levels = WaterRuns.together(parts) if parts else None
+    return dataclasses.replace(wanted, seeks=False, levels=levels, classes=tuple(sorted(classes))) if found else wanted
+
+
+def remember(levels: WaterRuns | None, targets: Targets, water: int | None) -> None:
+    """Leave the water of a run beside its outputs; ``water``: the class that its points get. Raises: OutputError."""
+    places = targets.places
+    if targets.folder is not None:
+        files = [targets.folder / WATER_FILE]
+    elif len(places) == 1:
+        files = [_beside(places[0], f"{places[0].name}.{WATER_FILE}")]
+    else:
+        files = list(dict.fromkeys(_beside(place, WATER_FILE) for place in places))
+    empty = WaterRuns(np.zeros(5), np.zeros((0, 3), np.int32), np.zeros(0))
+    for file in files:
+        if levels is not None or water is not None:
+            with new_file(file, overwrite=True) as part, part.open("wb") as stream:
+                arrays: Any = (levels or empty).arrays | {"classes": np.array([] if water is None else [water], int)}
+                np.savez_compressed(stream, **arrays)
+        elif is_there(file):  # of an earlier run
+            with output_errors(file):
+                file.unlink() if isinstance(file, Path) else file.remove()
+
+
+def _beside(place: Place, name: str) -> Place:
+    """A file of a name in the folder of another one."""
+    return place.with_name(name) if isinstance(place, Path) else place_of(str(place).rpartition("/")[0]) / name
 
 
 _NAMES = tuple(f"{KEPT}water_{name}" for name in ("frame", "run", "z"))

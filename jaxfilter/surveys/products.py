@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,8 @@ from ..files.classes import Classes
 from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES
+from ..terrain.interpolation import Interpolation
+from ..terrain.layer import Layer
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
@@ -49,8 +50,10 @@ def products(
     out: str | Path,
     ground: GroundSource | None = None,
     *,
-    only: Iterable[str] | None = None,
-    cell: float = 1.0,
+    only: Iterable[str | Layer] | None = None,
+    cell: float | str | Path = 1.0,
+    nodata: float | None = None,
+    interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     classes: Classes = Classes(),
     breaklines: str | Path | None = None,
@@ -67,8 +70,11 @@ def products(
         out: a folder, made if missing; a URL needs ``run.work``.
         ground: the filter, by default the default method, set up for the data; or classes of points that are ground already,
             as in :func:`jaxfilter.heights`, and then no files are classified.
-        only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
-        cell: side of the cells of rasters, in file units.
+        only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md). Or layers with
+            other settings, such as ``jf.dsm.replace(gap=5.0)``.
+        cell: side of the cells of rasters, in file units, or a raster file whose cells they have.
+        nodata: what stands for no value in rasters of float32, by default -9999.
+        interpolation: of heights between ground points, see :class:`Interpolation`.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
             terrain is level, see :func:`jaxfilter.breaklines`.
@@ -82,14 +88,16 @@ def products(
     """
     from ..reports.survey_page import write_survey_page
 
-    names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
+    asked, folder = list(LAYERS if only is None else only), place_of(out)
+    given = {layer.NAME: layer for layer in asked if isinstance(layer, Layer)}
+    names = [layer.NAME if isinstance(layer, Layer) else layer for layer in asked]
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
         raise ParameterError(f"only={wrong[0]!r}: choose from {', '.join(LAYERS)}")
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     if isinstance(folder, Path) and folder.is_file():
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
-    layers = [entry.kind() for name, entry in LAYERS.items() if name in names]
+    layers = [given.get(name) or entry.kind() for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     outlined = None if breaklines is None else Path(breaklines)
     if outlined is not None:
@@ -105,19 +113,14 @@ def products(
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
     classified = None
-    water = WaterWanted(path=outlined)
     source: GroundSource = Recipe() if ground is None else ground
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        act = functools.partial(classify, what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes)
-        classified = act(run=run)
-        if classified.was_complete:  # its water is not known any more
-            classified = act(run=anew)
-        if reading.aoi is None:
-            water = WaterWanted(False, classified.water is not None, classified.water, outlined)
+        classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
     if run.dry_run:
         known = reading.aoi is None and classified is not None  # around an area the rasters look for the ground again
-        tried = make_rasters(what, Rasters(outputs, cell), (2,) if known else source, reading=reading, run=run)
+        wanted = Rasters(outputs, cell, interpolation)
+        tried = make_rasters(what, wanted, (2,) if known else source, reading=reading, run=run)
         if classified is not None and classified.forecast is not None and tried.forecast is not None:
             seconds = classified.forecast.seconds + tried.forecast.seconds
             tried.forecast = tried.forecast._replace(seconds=seconds)
@@ -129,14 +132,14 @@ def products(
     left_out: tuple[str, ...] = ()
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
         what, left_out = classified.files, tuple(dict.fromkeys(one["file"] for one in lost))
-        source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
+        source = (classes.ground_class,)
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    made_of = Rasters(outputs, cell, water=water, lost=left_out)
-    rasters = make_rasters(what, made_of, source, reading=reading, run=anew)
+    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined), left_out, nodata)
+    rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
     for remark in [one for one in rasters.remarks if one.startswith(f"{folder / CLASSIFIED}")]:
         del rasters.total.remarks[remark]  # it was said of the input
     measured = (rasters if classified is None else classified).method or "classes of the files"
-    size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
+    size = f"{rasters.rows:,} x {rasters.columns:,} of {rasters.transform[0]:g}"
     found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
     figures = [*zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)]
     why_lost = {place_of(one["file"]).name: one["reason"] for one in (*rasters.left_out, *lost)}

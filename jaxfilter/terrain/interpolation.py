@@ -7,12 +7,13 @@ more and not on a line. Each interpolator is prepared once and then asked for he
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.errors import check_choice, check_positive, check_whole
+from ..core.errors import ParameterError, check_choice, check_positive, check_whole
 from ..core.filter import check_resources
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.linear import Linear as Linear
@@ -21,6 +22,8 @@ from ..engines.tin.linear import inside_hull as inside_hull
 Heights = Callable[[np.ndarray], np.ndarray]
 """From positions f64[q, 2] to heights f64[q], local metres; NaN where the method gives none."""
 
+LARGEST_EDGE = 1000.0
+"""Metres, of ``max_edge``."""
 METHODS = ("tin", "idw", "natural", "kriging")
 
 
@@ -33,6 +36,9 @@ class Interpolation:
             startinpy); ``"idw"``, inverse distance; ``"kriging"``, ordinary kriging with a linear variogram.
         max_gap: cells whose centre is farther than this from every ground point get no height, in units of the coordinates;
             None: the ground is bridged under buildings and water of any size.
+        max_edge: metres: at the edge of the ground, the surface ends where points are farther apart than this; a disc of this
+            diameter rolls around them from outside, and cells that it covers get no height. Voids that it does not reach are
+            bridged. None: 5 m and three times the spacing of the ground points; ``math.inf``: it ends at the convex hull.
         fill: give cells outside the convex hull of the ground points a height too: that of the nearest ground point, or
             what ``"idw"`` and ``"kriging"`` find there.
         neighbours: of ``"idw"`` and ``"kriging"``: how many of the nearest ground points decide a height.
@@ -47,6 +53,7 @@ class Interpolation:
 
     method: str = "tin"
     max_gap: float | None = None
+    max_edge: float | None = None
     fill: bool = False
     neighbours: int = 12
     power: float = 2.0
@@ -55,7 +62,18 @@ class Interpolation:
     def __post_init__(self) -> None:
         check_choice(METHODS, method=self.method)
         check_positive(max_gap=self.max_gap, power=self.power)
+        if self.max_edge != math.inf:
+            check_positive(" of metres", max_edge=self.max_edge)
+            if (self.max_edge or 0) > LARGEST_EDGE:
+                raise ParameterError(
+                    f"max_edge={self.max_edge!r}: is at most {LARGEST_EDGE:g} m; pass inf for no limit"
+                )
         check_whole(neighbours=self.neighbours)
+
+    @property
+    def ends(self) -> bool:
+        """Whether there is an edge, beyond which nothing has a value."""
+        return not self.fill and self.max_edge != math.inf
 
 
 def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int | None = None) -> Heights:

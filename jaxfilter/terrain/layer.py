@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -14,9 +16,12 @@ from ..core.points import check_extent
 from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
+from ..files.storage import Place
+from .edge import Edge, EdgeRule, Part
 from .interpolation import Heights, Interpolation
 from .levels import WaterRuns, levels_of
-from .raster import NODATA, RASTER_SUFFIXES, Raster, RasterGrid
+from .outline import count_in
+from .raster import HEIGHTS, NODATA, RASTER_SUFFIXES, Raster, RasterGrid
 
 
 def setting(help: str, default: Any, *, metres: bool = False) -> Any:
@@ -36,18 +41,19 @@ class Layer:
         KIND: the type of the values in files, in which ``NODATA`` stands for none. SUFFIXES: of files, the usual one first.
         STYLE: a colour map of Matplotlib, for pictures, or "relief".
         SURFACE: it needs a surface through the ground. MODEL: it shows the terrain model, and what its command says of the
-            interpolation of heights counts.
+            interpolation of heights counts. OF_RASTER: it can be made of a raster of heights, by :meth:`from_raster`.
     """
 
     NAME: ClassVar[str] = ""
     TITLE: ClassVar[str] = ""
-    UNITS: ClassVar[str] = "units of Z"
+    UNITS: ClassVar[str] = HEIGHTS
     KIND: ClassVar[str] = "float32"
     NODATA: ClassVar[float] = NODATA
     SUFFIXES: ClassVar[tuple[str, ...]] = RASTER_SUFFIXES
     STYLE: ClassVar[str] = "gray"
     SURFACE: ClassVar[bool] = True
     MODEL: ClassVar[bool] = False
+    OF_RASTER: ClassVar[bool] = False
 
     def reach(self, side: float) -> float:
         """Metres around a cell from which points count, besides the ground under the surface; ``side``: of a cell, metres."""
@@ -60,8 +66,17 @@ class Layer:
 
     @property
     def parts(self) -> tuple[Layer, ...]:
-        """The layers that :meth:`made_of` needs, for those that are made of others alone."""
+        """The layers without parts that :meth:`made_of` needs, for those that are made of others alone."""
         return ()
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """f32[rows, columns]: the values of a layer without ``parts``, after what only all tiles together know: where the ground
+        ends, and the level of water."""
+        return values
+
+    def from_raster(self, source: Path, target: Place, overwrite: bool) -> None:
+        """Write what the heights in a raster file give. Raises: InputError, OutputError."""
+        raise NotImplementedError
 
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
         """f32[rows, columns]: the values, out of those of ``parts``."""
@@ -87,8 +102,8 @@ class Layer:
         cloud = as_cloud(cloud)
         noise = result.low_noise if isinstance(result, FilterResult) else None
         grid, ground = grid_of(cloud, cell, bounds), ground_of(cloud, result)
-        site = Site(cloud, ground, grid, noise=noise, levels=levels_of(cloud, result, ground) if self.SURFACE else None)
-        return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
+        site = Site(cloud, ground, grid, noise=noise, levels=levels_of(cloud, result, ground))
+        return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE, self.UNITS)
 
 
 @dataclasses.dataclass(eq=False)
@@ -103,6 +118,7 @@ class Site:
         look: called with the centres of cells, f64[q, 2], local metres, and the surface that gives their heights.
         strict: too few ground points for a surface are an error; else there are no heights.
         levels: of water, which the terrain model has.
+        ends: all points are here, so that it is known where the ground ends.
         progress: of the interpolation.
     """
 
@@ -115,14 +131,40 @@ class Site:
     look: Callable[[np.ndarray, Heights], None] | None = None
     strict: bool = True
     levels: WaterRuns | None = None
+    ends: bool = True
     progress: Progress = silent
     _known: dict[Layer, np.ndarray] = dataclasses.field(default_factory=dict, init=False)
 
     def of(self, layer: Layer) -> np.ndarray:
         """The values of a layer, which are made once. Raises: InputError."""
         if layer not in self._known:
-            self._known[layer] = layer.values(self)
+            values = layer.values(self)
+            if self.ends and not layer.parts:
+                values = layer.bounded(values, self.grid, self.edge, self.levels)
+            self._known[layer] = values
         return self._known[layer]
+
+    @functools.cached_property
+    def edge(self) -> Edge | None:
+        """Where the ground ends, if all points are known."""
+        if not self.interpolation.ends or not self.ground.any():
+            return None
+        rule = EdgeRule(self.grid, self.cloud.units.xy, _box_of(self.cloud), self.interpolation.max_edge)
+        part = self.part_of(rule, self.grid, self.grid)
+        return rule.find(lambda: [part], self.levels)
+
+    @functools.cached_property
+    def circle(self) -> np.ndarray:
+        """f32[rows, columns], metres: the radius of the circle through the corners of the triangle of each cell, where there is
+        one."""
+        return np.zeros(self.grid.shape, np.float32)
+
+    def part_of(self, rule: EdgeRule, own: RasterGrid, wide: RasterGrid) -> Part:
+        """What the points say of the edge, of some cells."""
+        around = rule.around(own)
+        near = rule.near(self.cloud, self.ground, around, self.workers)
+        count = int(count_in(self.cloud, self.ground, own).sum())
+        return Part(own, wide, around, near, count, rule.code(self.circle) if "circle" in vars(self) else None)
 
     @property
     def side(self) -> float:
@@ -151,6 +193,11 @@ def extent_of(cloud: PointCloud) -> Bounds:
     if len(xy) == 0:
         raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
     check_extent(cloud, xy)
+    return _box_of(cloud)
+
+
+def _box_of(cloud: PointCloud) -> Bounds:
+    xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
     ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
     return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
 

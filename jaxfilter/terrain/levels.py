@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -19,9 +20,11 @@ from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
 from .outline import SNAP
 from .raster import RasterGrid
+from .runs import bodies, keys
 
 if TYPE_CHECKING:
     import geopandas
+    import shapely
 
 WATER = 9
 """ASPRS class of water."""
@@ -35,8 +38,10 @@ FALL = 0.1
 """Metres between the two ends of a body, from which on it falls."""
 _BLOCK, _PIECE = 8, 24.0
 """Cells along the side of a block, in which one mean is taken, and metres along a river in which one level is found."""
-_WIDE, _MOST = 1 << 32, 100_000_000
-"""More than there are columns, and cells that are looked at together."""
+_WEIR, _ROUNDS = 0.3, 8
+"""Metres between two pieces, from which on it is a step, and times that others are made even."""
+_MOST = 100_000_000
+"""Cells that are looked at together."""
 
 
 def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterCells | None:
@@ -125,13 +130,7 @@ class WaterRuns:
         start = np.flatnonzero(np.append(True, ~cut))
         end = np.append(start[1:], len(run)) - 1
         run, z = np.column_stack([run[start, :2], run[end, 2]]), np.add.reduceat(z, start)
-        first, stop = _keys(run[:, 0], run[:, 1]), _keys(run[:, 0], run[:, 2])
-        beside = np.flatnonzero(stop[:-1] == first[1:])
-        above = np.searchsorted(stop, first + _WIDE, "right"), np.searchsorted(first, stop + _WIDE, "left")
-        number = np.maximum(above[1] - above[0], 0)
-        lower = np.repeat(np.arange(len(run)), number)
-        upper = np.arange(len(lower)) + np.repeat(above[0] - np.cumsum(number) + number, number)
-        body = groups(np.append(beside, lower), np.append(beside + 1, upper), len(run))
+        body = bodies(run)
         large = np.bincount(body, run[:, 2] - run[:, 1]) * side**2 >= LEAST_WATER
         kept = large[body]
         if not kept.any():
@@ -139,18 +138,69 @@ class WaterRuns:
         run, z, body = run[kept], z[kept], (np.cumsum(large) - 1)[body[kept]]
         return cls(some[0].frame, run, _levels(run, z, body, side), body)
 
-    def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
-        side, x0, y0, metre, factor = self.frame
-        snapped = (np.rint((v - v0) * (metre / SNAP)) * SNAP for v, v0 in ((y, y0), (x, x0)))  # a centre may be an edge
-        row, column = (np.floor(v / side + 0.5).astype(np.int64) for v in snapped)
-        key = _keys(row, column)
-        run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
-        found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
-        return np.where(found, self.z[run] / factor, np.nan)
+    @classmethod
+    def together(cls, parts: Sequence[Self]) -> Self:
+        """The bodies of surveys with one frame, as they are; where they overlap, those of the first."""
+        number = np.cumsum([0, *(int(part.body.max()) + 1 for part in parts)])
+        run, z = np.concatenate([part.run for part in parts]), np.concatenate([part.z for part in parts])
+        body = np.concatenate([part.body + first for part, first in zip(parts, number, strict=False)])
+        order = np.argsort(keys(run[:, 0], run[:, 1]), kind="stable")
+        first, stop = (keys(run[order, 0], run[order, k]) for k in (1, 2))
+        order = order[first >= np.append(0, np.maximum.accumulate(stop)[:-1])] if len(parts) > 1 else order
+        return cls(parts[0].frame, run[order], z[order], body[order])
 
-    def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
-        """f32[rows, columns]: the values of a terrain model, level where the middle of a cell is in water."""
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The attributes by name."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates.
+
+        A place is in water if half of the four cells around it are, by their distance, so that a slanting shore has no stairs of
+        single cells. The level is linear between the middles of blocks, so that it falls evenly.
+        """
+        side, x0, y0, metre, factor = self.frame
+        place = [np.rint((v - v0) * (metre / SNAP)) * (SNAP / side) for v, v0 in ((y, y0), (x, x0))]
+        low = [np.floor(v).astype(np.int64) for v in place]
+        first = keys(self.run[:, 0], self.run[:, 1])
+        share, most, run = np.zeros(np.shape(x)), np.zeros(np.shape(x)), np.zeros(np.shape(x), np.int64)
+        for way in _CORNERS:
+            (row, column), weight = _corner(place, low, way)
+            at = np.maximum(np.searchsorted(first, keys(row, column), "right") - 1, 0)
+            wet = (self.run[at, 0] == row) & (self.run[at, 1] <= column) & (column < self.run[at, 2])
+            share += weight * wet
+            nearer = wet & (weight > most)
+            run, most = np.where(nearer, at, run), np.where(nearer, weight, most)
+        return np.where(share >= 0.5, self._even(place, run) / factor, np.nan)
+
+    def _even(self, place: list[np.ndarray], run: np.ndarray) -> np.ndarray:
+        """f64[...]: levels, metres, of rows and columns that are in the body of a run."""
+        place = [(v + 0.5) / _BLOCK - 0.5 for v in place]
+        low = [np.floor(v).astype(np.int64) for v in place]
+        known, z = self._blocks
+        own, more, total = self.z[run], np.zeros(np.shape(run)), np.zeros(np.shape(run))
+        for way in _CORNERS:
+            (row, column), weight = _corner(place, low, way)
+            key = self._block_key(row, column, self.body[run])
+            at = np.minimum(np.searchsorted(known, key), len(known) - 1)
+            weight = weight * (known[at] == key)
+            more, total = more + weight * (z[at] - own), total + weight
+        return own + more / np.where(total > 0, total, 1.0)
+
+    def _block_key(self, row: np.ndarray, column: np.ndarray, body: np.ndarray) -> np.ndarray:
+        low, high = self.run.min(axis=0)[:2] // _BLOCK - 1, self.run.max(axis=0) // _BLOCK + 3
+        return ((row - low[0]) * (high[2] - low[1]) + column - low[1]) * (self.body.max() + 1) + body
+
+    @functools.cached_property
+    def _blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """i64[b], f64[b]: blocks of bodies, by number, and their levels."""
+        row, column = self.run[:, :2].T.astype(np.int64) // _BLOCK
+        key, first = np.unique(self._block_key(row, column, self.body), return_index=True)
+        return key, self.z[first]
+
+    def over(self, grid: RasterGrid) -> np.ndarray:
+        """f64[rows, columns]: the level where the middle of a cell is in water, NaN on land."""
         x, y = (v.ravel() for v in grid.centres())
         side, x0, y0, metre, _ = self.frame
         low, high = self.run.min(axis=0) - 1, self.run.max(axis=0) + 1
@@ -158,10 +208,25 @@ class WaterRuns:
             (v >= v0 + a * side / metre) & (v <= v0 + b * side / metre)
             for v, v0, a, b in ((y, y0, low[0], high[0]), (x, x0, low[1], high[2]))
         ]
-        out, box = values.copy(), np.ix_(*near)
-        level = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
-        out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
+        out = np.full(grid.shape, np.nan)
+        out[np.ix_(*near)] = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
         return out
+
+    def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
+        """f32[rows, columns]: the values of a terrain model, level in water."""
+        level = self.over(grid).astype(np.float32)
+        return np.where(np.isnan(level), values, level)
+
+
+_CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
+
+
+def _corner(
+    place: list[np.ndarray], low: list[np.ndarray], way: tuple[int, int]
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Row and column of one of the four cells around places, and its weight."""
+    row, column = (np.abs(1 - one - (v - whole)) for v, whole, one in zip(place, low, way, strict=True))
+    return (low[0] + way[0], low[1] + way[1]), row * column
 
 
 def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
@@ -181,6 +246,7 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     shapes, heights = [], []
     for rows in np.split(order, np.flatnonzero(np.diff(levels.body[order])) + 1):
         shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
+        shape = _without_stairs(shape, step)
         low, high = z[rows].min(), z[rows].max()
         if low == high:
             shape = shapely.simplify(shape, 0)
@@ -195,6 +261,16 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
     found.insert(2, "area", found.area)
     return found
+
+
+def _without_stairs(shape: shapely.Geometry, step: float) -> shapely.Geometry:
+    """A polygon of cells with lines from the middle of a side of a cell to the next instead of corners."""
+    import shapely
+
+    rings = [shape.exterior, *shape.interiors]
+    corners = [shapely.get_coordinates(shapely.segmentize(ring, 1.001 * step)) for ring in rings]
+    shell, *holes = (np.concatenate([at[:-1] + at[1:], at[:1] + at[1:2]]) / 2 for at in corners)
+    return shapely.simplify(shapely.Polygon(shell, holes), 1e-6 * step)
 
 
 def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
@@ -214,10 +290,6 @@ def levels_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, groun
     classes = None if isinstance(result, FilterResult) else cloud.classification
     bed = classes is not None and bool((classes[ground] == BED).any())
     return None if bed else levels_in(cloud, result, ground)
-
-
-def _keys(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    return row.astype(np.int64) * _WIDE + column
 
 
 def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np.ndarray:
@@ -299,10 +371,16 @@ def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.nd
     for some in reversed(steps):
         np.minimum.at(least, some[:, 0], least[some[:, 1]])
     own = (least + most) / 2
-    below, above = np.full((2, len(own)), np.inf)
-    np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
-    np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
-    below, above = np.where(np.isinf(below), own, -below), np.where(np.isinf(above), own, above)
+    for left in reversed(
+        range(_ROUNDS + 1)
+    ):  # means of three pieces rise nowhere; the last round only finds the slopes
+        below, above = np.full((2, len(own)), np.inf)
+        np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
+        np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
+        down, up = own + below, above - own
+        limit = _WEIR if left else _MOST
+        down, up = (np.where(a <= limit, a, np.where(b <= limit, b, 0)) for a, b in ((down, up), (up, down)))
+        own = own + (up - down) / 4 if left else own
     share = way / _PIECE - band - 0.5
-    slope = np.where(share < 0, (own - below)[piece], (above - own)[piece])
+    slope = np.where(share < 0, down[piece], up[piece])
     return np.where((np.abs(here - there) > FALL)[of], own[piece] + share * slope, flat)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -11,15 +11,13 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, warn
 from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult, Progress, silent
-from .interpolation import Heights, inside_hull, nearest_point, surface_through
+from .edge import Edge
+from .interpolation import Heights, Linear, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
 from .layer import Layer, Site, grid_of, ground_of
-from .levels import levels_of
-from .outline import SNAP
+from .levels import WaterRuns, levels_of
+from .outline import CELLS_AT_ONCE, blocks_of
 from .raster import Raster, RasterGrid
-
-_CELLS = 1 << 18  # that are interpolated at a time
-_FAR = 2.0**20  # metres from the corner: no point is as far, and the lattice of triangulations reaches twice as far
 
 
 def dtm(
@@ -29,6 +27,7 @@ def dtm(
     method: str = "tin",
     *,
     max_gap: float | None = None,
+    max_edge: float | None = None,
     fill: bool = False,
     bounds: Iterable[float] | None = None,
     neighbours: int = 12,
@@ -51,7 +50,7 @@ def dtm(
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
-        method, max_gap, fill, neighbours, power, level_water: how heights are found, see :class:`Interpolation`.
+        method, max_gap, max_edge, fill, neighbours, power, level_water: how heights are found, see :class:`Interpolation`.
         bounds: (xmin, ymin, xmax, ymax) to cover instead of the extent of the cloud, widened to whole cells.
         workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
@@ -68,7 +67,7 @@ def dtm(
     >>> bool(np.nanmedian(np.abs(model.values - terrain)) < 0.1)
     True
     """
-    interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
+    interpolation = Interpolation(method, max_gap, max_edge, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
     ground, grid = ground_of(cloud, result), grid_of(cloud, cell, bounds)
     levels = levels_of(cloud, result, ground) if level_water else None
@@ -90,19 +89,18 @@ class Dtm(Layer):
 
     NAME, TITLE, STYLE, MODEL = "dtm", "height of the ground", "gist_earth", True
 
-    @property
-    def parts(self) -> tuple[Layer, ...]:
-        """Itself: the level of water is put into it."""
-        return (self,)
-
     def reach(self, side: float) -> float:
         """No farther than the ground under it."""
         return 0.0
 
     def values(self, site: Site) -> np.ndarray:
         """Heights. Raises: InputError for too few ground points."""
-        values = interpolated(site)
-        return values if site.levels is None else site.levels.put(values, site.grid)
+        return interpolated(site)
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """Heights, but for those beyond the edge, and the level of water."""
+        values = values if edge is None else edge.cut(values, grid)
+        return values if levels is None else levels.put(values, grid)
 
 
 def interpolated(site: Site) -> np.ndarray:
@@ -127,6 +125,8 @@ def interpolated(site: Site) -> np.ndarray:
     for rows, at in blocks_of(cloud, grid):
         site.progress(rows.start / grid.rows, "heights")
         z = surface(at)
+        if isinstance(surface, Linear) and interpolation.ends:
+            site.circle[rows] = surface.circles(at)[1].reshape(-1, grid.columns)
         if site.look is not None:
             site.look(at, surface)
         if inside is not None:
@@ -197,9 +197,9 @@ def heights_of(
     surface = surface_through(xyz, Interpolation(), workers) if has_area(points.xyz) else None
     nearest, low, high = nearest_point(xyz, workers), xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     heights = np.zeros(len(rows))
-    for start in range(0, len(rows), _CELLS):
+    for start in range(0, len(rows), CELLS_AT_ONCE):
         report(start / len(rows), "heights")
-        these = rows[start : start + _CELLS]
+        these = rows[start : start + CELLS_AT_ONCE]
         at = cloud.xyz[these, :2].astype(np.float64)
         z = np.full(len(at), np.nan)
         if surface is not None:
@@ -208,7 +208,7 @@ def heights_of(
                 look(at, surface)
         beyond = np.flatnonzero(np.isnan(z))
         z[beyond] = xyz[nearest(at[beyond])[1], 2]
-        heights[start : start + _CELLS] = (cloud.xyz[these, 2] - z) / cloud.units.z
+        heights[start : start + CELLS_AT_ONCE] = (cloud.xyz[these, 2] - z) / cloud.units.z
     if cloud.valid is not None:
         heights[~cloud.valid[rows]] = 0.0
     return heights
@@ -217,19 +217,3 @@ def heights_of(
 def _lowest(xyz: np.ndarray) -> np.ndarray:
     """f32[m, 3]: of points in canonical order the lowest of each position, which comes first."""
     return xyz[np.append(True, (np.diff(xyz[:, :2], axis=0) != 0).any(axis=1))]
-
-
-def blocks_of(cloud: PointCloud, grid: RasterGrid) -> Iterator[tuple[slice, np.ndarray]]:
-    """Some rows of a grid at a time, and the centres of their cells, f64[q, 2], local metres."""
-    x, y = _local(cloud, grid.left, grid.columns, 0, grid.cell), _local(cloud, grid.bottom, grid.rows, 1, grid.cell)
-    step = max(1, _CELLS // grid.columns)
-    for top in range(0, grid.rows, step):
-        rows = y[::-1][top : top + step]
-        yield slice(top, top + len(rows)), np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
-
-
-def _local(cloud: PointCloud, first: int, count: int, axis: int, cell: float) -> np.ndarray:
-    """f64[count]: the centres of the cells along an axis, local metres; those farther than any point as :data:`_FAR`."""
-    centre = (first + np.arange(count) + 0.5) * cell
-    local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / SNAP)) * SNAP
-    return np.clip(local, -_FAR, _FAR)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pyproj
 
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
-from ..core.units import for_outputs
+from ..core.units import for_outputs, height_datum, horizontal, same_system
 from ..files.disk import Bounds, check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
@@ -22,8 +24,13 @@ if TYPE_CHECKING:
 
 RASTER_SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
+HEIGHTS = "units of Z"
+"""Units of a raster that are those of the heights of its CRS."""
 _BLOCK, STRIP = 256, 512
 """Rows and columns of the blocks of a file, and rows that are read of it at a time."""
+
+
+Transform = tuple[float, float, float, float, float, float]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,7 +43,7 @@ class Raster:
             corner of a cell: the first six numbers of ``affine.Affine``, as rasterio has them. Centres lie half a cell on.
         crs: pyproj.CRS or None.
         nodata, kind: what stands for NaN in files, and the type of their values.
-        title: what the values are; its first word is the name of the array of :meth:`to_xarray`.
+        title: what the values are; its first word is the name of the array of :meth:`to_xarray`. units: in which they are.
 
     >>> model = jf.dtm(cloud, result, cell=5.0)
     >>> model.values.dtype, model.values.shape, model.transform[:3]
@@ -44,11 +51,12 @@ class Raster:
     """
 
     values: np.ndarray
-    transform: tuple[float, float, float, float, float, float]
+    transform: Transform
     crs: Any = None
     nodata: float = NODATA
     kind: str = "float32"
     title: str = "height of the ground"
+    units: str = HEIGHTS
 
     def __repr__(self) -> str:
         rows, columns = self.values.shape
@@ -131,10 +139,12 @@ class Raster:
 
         path = check_suffix(place_of(path), RASTER_SUFFIXES)
         profile = profile_of(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
+        band = Band(self.title, self.units, self.crs)
         profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
             with memory.open(**profile) as file:
                 file.write(packed(self.values, self.kind, self.nodata), 1)
+                band.describe(file)
             with new_file(path, overwrite=overwrite) as temporary:
                 temporary.write_bytes(memory.getbuffer())
         return path
@@ -150,20 +160,15 @@ class Raster:
         >>> bool(np.array_equal(back.values, model.values, equal_nan=True))
         True
         """
-        import pyproj
         import rasterio
 
-        try:
+        with Rows.of(path) as (rows, transform, crs):
+            values = rows.read(0, rows.number)
             with rasterio.open(path) as file:
-                values = file.read(1, masked=True).astype(np.float32).filled(np.nan)
-                transform, nodata, kind = tuple(file.transform)[:6], file.nodata, str(file.dtypes[0])
-                crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
-        except rasterio.errors.RasterioError as error:
-            raise InputError(f"{path}: cannot be read as a raster: {error}") from error
-        if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
-            raise InputError(f"{path}: only north-up rasters with square cells are read, not transform {transform}")
+                nodata, kind = file.nodata, str(file.dtypes[0])
+                words = file.descriptions[0] or cls.title, file.units[0] or cls.units
         kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
-        return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
+        return cls(values, transform, crs, NODATA if nodata is None else nodata, kind, *words)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,13 +225,18 @@ class RasterGrid:
         top = min(self.bottom + self.rows, round(box[3] / self.cell))
         return RasterGrid(self.cell, left, bottom, right - left, top - bottom)
 
+    def grown(self, ring: int) -> RasterGrid:
+        """With so many more cells on all sides."""
+        more = 2 * ring
+        return RasterGrid(self.cell, self.left - ring, self.bottom - ring, self.columns + more, self.rows + more)
+
     def slices(self, part: RasterGrid) -> tuple[slice, slice]:
         """Rows, from north, and columns that the cells of a part have."""
         row, column = self.bottom + self.rows - part.bottom - part.rows, part.left - self.left
         return slice(row, row + part.rows), slice(column, column + part.columns)
 
     @property
-    def transform(self) -> tuple[float, float, float, float, float, float]:
+    def transform(self) -> Transform:
         """As of a :class:`Raster` on these cells."""
         return self.cell, 0.0, self.left * self.cell, 0.0, -self.cell, (self.bottom + self.rows) * self.cell
 
@@ -236,6 +246,7 @@ def write_mosaic(
     grid: RasterGrid,
     profile: dict[str, Any],
     parts: Callable[[], Iterable[tuple[RasterGrid, np.ndarray]]],
+    band: Band,
     *,
     overwrite: bool = False,
     check: Callable[[int], None] = lambda known: None,
@@ -246,7 +257,7 @@ def write_mosaic(
     Args:
         grid: all cells; profile: of the file, see :func:`profile_of`.
         parts: gives, each time it is called, cells and their values, see :func:`packed`, of parts that do not overlap. What no
-            part covers has no value.
+            part covers has no value. band: what they are.
         check: called with the number of cells that have a value, before the file appears, which it does not if this raises.
 
     Returns: how many cells have a value.
@@ -266,6 +277,7 @@ def write_mosaic(
             with rasterio.open(plain, "w", **profile) as file:
                 for window, values in windows():
                     file.write(values, 1, window=window)
+                band.describe(file)
             copy(
                 plain, temporary, driver="COG", compress="deflate", predictor="yes", overviews="ignore_existing",
                 resampling="average", bigtiff="if_safer",
@@ -282,15 +294,75 @@ def write_mosaic(
     return known
 
 
-def strips_of(path: Path) -> Iterator[np.ndarray]:
-    """Heights f32[r, columns] of some rows of a file after the other, NaN where there are none; the last row of each is the first
-    of the next."""
-    import rasterio
+class Rows(NamedTuple):
+    """Heights of a raster that need not be in memory: ``number``, ``columns``: its shape; ``read``: f32[r, columns], rows
+    from one to before another, NaN where there are none."""
 
-    with rasterio.open(path) as file:
-        for top in range(0, max(1, file.height - 1), STRIP):
-            rows = rasterio.windows.Window(0, top, file.width, min(STRIP + 1, file.height - top))
-            yield file.read(1, window=rows, masked=True).filled(np.nan)
+    number: int
+    columns: int
+    read: Callable[[int, int], np.ndarray]
+
+    @classmethod
+    @contextlib.contextmanager
+    def of(cls, path: str | Path) -> Iterator[tuple[Rows, Transform, Any]]:
+        """The first band of a file, which is open as long as the block, its transform and its CRS. Raises: InputError."""
+        import rasterio
+
+        try:
+            with rasterio.open(path) as file:
+                transform = tuple(file.transform)[:6]
+                if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
+                    words = f"only north-up rasters with square cells are read, not transform {transform}"
+                    raise InputError(f"{path}: {words}")
+
+                def read(top: int, stop: int) -> np.ndarray:
+                    window = rasterio.windows.Window(0, top, file.width, stop - top)
+                    return np.asarray(file.read(1, window=window, masked=True).astype(np.float32).filled(np.nan))
+
+                crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
+                yield cls(file.height, file.width, read), transform, crs
+        except rasterio.errors.RasterioError as error:
+            raise InputError(f"{path}: cannot be read as a raster: {error}") from error
+
+
+def metres_per_unit(crs: Any) -> float:
+    """Of X and Y; 1 without a CRS, and for degrees that of latitude."""
+    if crs is None:
+        return 1.0
+    plane = horizontal(pyproj.CRS(crs))
+    return 111_320.0 if plane.is_geographic else float(plane.axis_info[0].unit_conversion_factor)
+
+
+class Band(NamedTuple):
+    """What the values of a raster are: ``title`` and ``units``, as of a :class:`Raster`; ``crs``: of the raster."""
+
+    title: str
+    units: str
+    crs: Any
+
+    def describe(self, file: Any) -> None:
+        """Say it in a file that is open: description and unit of the band, and what heights count from as VERTICAL_DATUM."""
+        file.set_band_description(1, self.title)
+        crs = None if self.crs is None else pyproj.CRS(self.crs)
+        if self.units != HEIGHTS:
+            file.set_band_unit(1, self.units)
+        elif crs is not None:
+            file.set_band_unit(1, crs.axis_info[-1].unit_name)
+        if self.title.startswith("height of"):
+            file.update_tags(VERTICAL_DATUM=(crs and height_datum(crs)) or "unknown")
+
+
+def grid_like(path: str | Path, crs: Any) -> RasterGrid:
+    """The cells of a raster file, for others in a ``crs``. Raises: InputError if it has another CRS, or if its cells do not end
+    at whole multiples of their side."""
+    with Rows.of(path) as (rows, transform, own):
+        cell, _, left, _, _, top = transform
+        if crs is not None and own is not None and not same_system(horizontal(own), horizontal(crs)):
+            raise InputError(f"{path}: is in {own.name}, and the points are in {crs.name}: name a raster in their CRS")
+        first, last = left / cell, top / cell
+        if max(abs(first - round(first)), abs(last - round(last))) > 1e-4:
+            raise InputError(f"{path}: its cells do not end at multiples of their side, {cell:g}: name another raster")
+        return RasterGrid(cell, round(first), round(last) - rows.number, rows.columns, rows.number)
 
 
 def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,16 +16,17 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import ParameterError, check_positive
 from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult
-from ..core.units import Units
+from ..core.units import Units, vertical
 from ..files.disk import check_suffix
-from ..files.storage import place_of
+from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES, write_features
+from .edge import Edge
 from .interpolation import Linear, nearest_point
 from .layer import Layer, Site, ground_of, setting
-from .levels import levels_in, outlines
-from .models import Dtm, blocks_of, heights_of
-from .outline import occupied, places_of
-from .raster import Raster, RasterGrid
+from .levels import WaterRuns, levels_in, outlines
+from .models import Dtm, heights_of
+from .outline import blocks_of, count_in, occupied, places_of
+from .raster import Band, Raster, RasterGrid, metres_per_unit, packed, profile_of, write_mosaic
 
 if TYPE_CHECKING:
     import geopandas
@@ -144,7 +146,8 @@ class Chm(Dsm):
 class Hillshade(Layer):
     """The shaded relief of the terrain model, see :func:`hillshade`."""
 
-    NAME, TITLE, UNITS, KIND, NODATA, MODEL = "hillshade", "hillshade", "1 (dark) to 255", "uint8", 0, True
+    NAME, TITLE, UNITS, KIND, NODATA = "hillshade", "hillshade", "1 (dark) to 255", "uint8", 0
+    MODEL, OF_RASTER = True, True
     azimuth: float = setting("Where the light comes from, degrees from north to east.", 315.0)
     altitude: float = setting("Degrees of the sun above the horizon.", 45.0)
 
@@ -162,6 +165,17 @@ class Hillshade(Layer):
     def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
         return self.shade(known[Dtm()], grid.cell, units.z / units.xy)
 
+    def from_raster(self, source: Path, target: Place, overwrite: bool) -> None:
+        """Write the relief, as a Cloud Optimized GeoTIFF. Raises: InputError, OutputError."""
+        model = Raster.read(source)
+        metre = metres_per_unit(model.crs)
+        high = metre if vertical(model.crs) is None else model.crs.axis_info[-1].unit_conversion_factor
+        values = packed(self.shade(model.values, model.cell, high / metre), self.KIND, self.NODATA)
+        grid = RasterGrid(model.cell, 0, 0, values.shape[1], values.shape[0])
+        profile = profile_of(grid.shape, model.transform, model.crs, self.KIND, self.NODATA)
+        band = Band(self.TITLE, self.UNITS, model.crs)
+        write_mosaic(target, grid, profile, lambda: [(grid, values)], band, overwrite=overwrite)
+
     def shade(self, z: np.ndarray, cell: float, z_factor: float) -> np.ndarray:
         """f32[rows, columns], of heights f32[rows, columns]."""
         rows, columns = z.shape
@@ -173,7 +187,7 @@ class Hillshade(Layer):
         azimuth, altitude = math.radians(self.azimuth), math.radians(self.altitude)
         along = east * math.sin(azimuth) + north * math.cos(azimuth)  # up, on the way to the sun
         light = (math.sin(altitude) - math.cos(altitude) * along) / np.sqrt(1 + east * east + north * north)
-        return np.floor(1.5 + 254 * np.maximum(light, 0.0)).astype(np.float32)
+        return np.floor(1.5 + 254 * np.maximum(np.where(np.isnan(e), np.nan, light), 0.0)).astype(np.float32)
 
 
 def hillshade(model: Raster, azimuth: float = 315.0, altitude: float = 45.0, z_factor: float = 1.0) -> Raster:
@@ -196,26 +210,28 @@ def hillshade(model: Raster, azimuth: float = 315.0, altitude: float = 45.0, z_f
     layer = Hillshade(azimuth, altitude)
     check_positive(z_factor=z_factor)
     values = layer.shade(model.values, model.cell, z_factor)
-    return Raster(values, model.transform, model.crs, layer.NODATA, layer.KIND, layer.TITLE)
+    return Raster(values, model.transform, model.crs, layer.NODATA, layer.KIND, layer.TITLE, layer.UNITS)
 
 
 @dataclasses.dataclass(frozen=True)
 class Count(Layer):
-    """How many ground points there are in each of the cells. Points on an eastern or northern edge belong to the next one.
+    """How many ground points there are in each of the cells. Points on an eastern or northern edge belong to the next
+    one. Cells without any have no value beyond the edge of the ground.
 
     >>> bounds = (512000, 5403000, 512060, 5403060)
-    >>> bool(jf.count(cloud, result, cell=2.0, bounds=bounds).values.sum() == result.ground.sum())
+    >>> bool(np.nansum(jf.count(cloud, result, cell=2.0, bounds=bounds).values) == result.ground.sum())
     True
     """
 
     NAME, TITLE, UNITS, STYLE, SURFACE = "count", "number of ground points", "points", "cividis", False
+    KIND = "int32"
 
     def values(self, site: Site) -> np.ndarray:
-        grid = site.grid
-        columns, rows = (place[site.ground] for place in places_of(site.cloud, grid))
-        own = (columns >= 0) & (columns < grid.columns) & (rows >= 0) & (rows < grid.rows)
-        cells = rows[own] * grid.columns + columns[own]
-        return np.bincount(cells, minlength=grid.rows * grid.columns).reshape(grid.shape).astype(np.float32)
+        return count_in(site.cloud, site.ground, site.grid).astype(np.float32)
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """No 0 beyond the edge."""
+        return values if edge is None else np.where(edge.beyond(grid) & (values == 0), np.float32(np.nan), values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,19 +239,24 @@ class Density(Layer):
     """How many ground points there are per m2 in each cell, which says how well a terrain model is supported.
 
     >>> number = jf.count(cloud, result, cell=2.0).values
-    >>> bool((jf.density(cloud, result, cell=2.0).values == number / 4).all())
+    >>> bool(np.array_equal(jf.density(cloud, result, cell=2.0).values, number / 4, equal_nan=True))
     True
     """
 
     NAME, TITLE, UNITS, STYLE, SURFACE = "density", "density of ground points", "points per m2", "cividis", False
 
-    def values(self, site: Site) -> np.ndarray:
-        return (site.of(Count()) / site.side**2).astype(np.float32)
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        return (Count(),)
+
+    def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
+        return (known[Count()] / (grid.cell * units.xy) ** 2).astype(np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
 class Voids(Layer):
-    """A mask, 1 where a cell's centre is so far from every ground point that a terrain model is a guess, and 0 elsewhere.
+    """A mask, 1 where a cell's centre is so far from every ground point that a terrain model is a guess, and 0 elsewhere;
+    no value beyond the edge of the ground.
 
     Attributes:
         distance: metres.
@@ -243,7 +264,7 @@ class Voids(Layer):
     Raises: ParameterError for a distance that is not positive.
 
     >>> near, far = (jf.voids.replace(distance=distance)(cloud, result).values for distance in (1.0, 100.0))
-    >>> bool(0 < near.mean() < 1), bool(far.any())
+    >>> bool(0 < np.nanmean(near) < 1), bool(np.nanmax(far))
     (True, False)
     """
 
@@ -264,6 +285,10 @@ class Voids(Layer):
             for rows, at in blocks_of(site.cloud, site.grid):
                 out[rows] = np.isinf(nearest(at)[0]).reshape(-1, site.grid.columns)
         return out
+
+    def bounded(self, values: np.ndarray, grid: RasterGrid, edge: Edge | None, levels: WaterRuns | None) -> np.ndarray:
+        """Voids in the midst of the ground."""
+        return values if edge is None else np.where(edge.beyond(grid), np.float32(np.nan), values)
 
 
 def breaklines(

@@ -29,6 +29,7 @@ class Linear:
         self._tin = triangulated(xyz, workers)
         self._tin.workers = self._threads
         self._inside = inside_hull(xyz)
+        self._found: tuple[np.ndarray, bool, tuple[np.ndarray, ...]] | None = None  # of the positions asked for last
         self._xy, self._z = xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
@@ -67,6 +68,8 @@ class Linear:
     def _triangles(self, at: np.ndarray, on_hull: bool = True) -> tuple[np.ndarray, ...]:
         """i64[q, 3], the corners of the triangles at f64[q, 2]; the numbers of positions outside the hull, and unless ``on_hull``
         of those on it; f64[q, 2], the first corners, and f64[2, q] from these to the second and to the third."""
+        if self._found is not None and self._found[0] is at and self._found[1] == on_hull:
+            return self._found[2]
         start = np.searchsorted(self._code, morton(np.maximum(at, 0.0)))
         with ThreadPoolExecutor(self._threads) as self._tin.pool:
             near = self._order[np.minimum(start, len(self._xy) - 1)]
@@ -76,7 +79,9 @@ class Linear:
             nodes = self._tin.corners(tri)
         first, second, third = np.take(self._xy, nodes.T, axis=0)
         outside = beyond[~self._inside(at[beyond])] if on_hull else beyond
-        return nodes, outside, first, (second - first).T, (third - first).T
+        found = nodes, outside, first, (second - first).T, (third - first).T
+        self._found = at, on_hull, found
+        return found
 
 
 def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
