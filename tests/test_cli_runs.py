@@ -59,8 +59,8 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
 
 
 @pytest.mark.parametrize("words, message", [
-    (("smfr", "{survey}", "out"), "smfr: no such file or folder, and no method: choose one of agptd"),
-    (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
+    (("smfr", "{survey}", "out"), "smfr: there is no such file, folder or method; the methods are agptd"),
+    (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: there is no such file"),
     (("pmf", "{survey}", "out", "--bounds", 2, 0, 1, 1), "--bounds (2.0, 0.0, 1.0, 1.0)"),
     (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
     (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1.5 m"), "--memory 1.5e+06 bytes do not suffice"),
@@ -68,7 +68,7 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
     (("pmf", "{survey}/west.laz", "out.laz", "--memory", "2MiB"), "--memory 2.1e+06 bytes do not suffice"),
     (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
     (("pmf", "{survey}", "out.laz"), "out.laz: 2 files are written into a folder"),
-    (("absent.laz", "out.laz"), "absent.laz: no such file or folder"),
+    (("absent.laz", "out.laz"), "absent.laz: there is no such file or folder"),
 ])  # fmt: skip
 def test_wrong_usage_ends_before_anything_is_written(survey, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
@@ -88,7 +88,7 @@ def test_heights_go_into_an_empty_folder(done, tmp_path):
     (tmp_path / "out" / "notes.txt").write_text("mine")
     assert run("height", done[0], tmp_path / "out").exit_code == 1, "not empty"
     for words, message in (
-        ((done[0], tmp_path / "new", "--in-place"), "new: no such file or folder"),
+        ((done[0], tmp_path / "new", "--in-place"), "new: there is no such file or folder"),
         ((done[0], "s3://bucket/out"), "pass --work"),
         ((done[0], tmp_path / "a.laz"), "a.laz: 2 files are written into a folder"),
     ):

@@ -385,7 +385,7 @@ def test_the_command(folder):
     said = facts("info", folder / "b.laz", folder / "below")
     assert said["files"] == 2 and said["crs"] == "WGS 84 / UTM zone 32N" and said["units"] == "metre"
     for arguments, code, words in (
-        ([folder / "absent"], 2, "no such file or folder"),
+        ([folder / "absent"], 2, "there is no such file or folder"),
         ([folder / "none*"], 1, "matches no .las or .laz file"),
         ([folder, "--vpc", folder / "all.vpc"], 2, "exists"),
         ([folder, "--vpc", folder / "all.json"], 2, "suffix"),

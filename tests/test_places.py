@@ -12,7 +12,7 @@ from commands import facts, run
 from test_tiles_run import Here
 
 import jaxfilter as jf
-from jaxfilter.reports.places import LARGEST, REASONS, SIDE, UNKNOWN_AREA, find_suspects, places_of
+from jaxfilter.reports.places import LARGEST_AREA, REASONS, SIDE, UNKNOWN_AREA, find_suspects, places_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 CUT = REASONS[0]
@@ -213,7 +213,7 @@ def test_places_can_be_looked_through_and_what_hides_the_ground_is_named_once(rn
     assert unknown.reason == UNKNOWN_AREA and unknown.area == pytest.approx(300 * 400, rel=0.15)
     assert 5 < len(places) <= 60 * 0.36 and all(place.reason != UNKNOWN_AREA for place in places)
     for place in places:
-        assert place.area <= LARGEST and (np.ptp(place.cells, axis=0) * SIDE <= 220).all()
+        assert place.area <= LARGEST_AREA and (np.ptp(place.cells, axis=0) * SIDE <= 220).all()
     together = np.concatenate([place.cells for place in listed])
     assert len(np.unique(together, axis=0)) == len(together), "no cell is in two places"
     assert [place.volume for place in places] == sorted((place.volume for place in places), reverse=True)

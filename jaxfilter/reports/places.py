@@ -32,9 +32,9 @@ LIKELY = 0.04
 """Cells whose terrain is off by more than half a metre with this chance, or a larger one, are named."""
 LEAST_AREA = 40.0
 """Square metres that a place has at least."""
-LARGEST = 2500.0
+LARGEST_AREA = 2500.0
 """Square metres that a place has at most."""
-SQUARE = 25
+SQUARE_CELLS = 25
 """Cells along the squares that cut what is larger."""
 VIEW = 40.0
 """Cells: what lies so near to the largest part of a place, in both directions, is part of it, so that one view shows all."""
@@ -42,7 +42,7 @@ BLANK = 0.5
 """Share of the cells of a square from which on it is blank: where two of these touch, nothing can be said of the area."""
 MOST, FEW = 60.0, 3
 """Places per square kilometre of the data, at most; so many in any case."""
-WEIGHTS = np.array([[-1.18, 1.17, -1.06, -1.15, 1.15], [-3.27, 0.0, -1.06, -0.48, 1.2]])
+PLACE_WEIGHTS = np.array([[-1.18, 1.17, -1.06, -1.15, 1.15], [-3.27, 0.0, -1.06, -0.48, 1.2]])
 """f64[2, 5]: constant and weights of :func:`gather_evidence`, for results with doubt and without; fitted to tiles and scenes."""
 CUT_REACH = 30.0
 """Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
@@ -181,7 +181,7 @@ def find_suspects(
     surface = ReviewCells.from_cloud(cloud, result, at, grid.shape)
     filled, figures, inner = surface.points > 0, gather_evidence(surface), inward(data, SIDE)
     seen = (sum_around(surface.points) > 0) & (inner > 0)
-    weights = WEIGHTS[int(surface.doubt is None)]
+    weights = PLACE_WEIGHTS[int(surface.doubt is None)]
     chance = np.where(seen, 1 / (1 + np.exp(-(weights[0] + figures @ weights[1:]))), 0)
     spacing, slope = np.exp(-figures[..., 2] / 2), np.exp(figures[..., 3]) - 0.05
     error = np.maximum(OFF, np.minimum(slope, STEEPEST_TERRAIN) * spacing)
@@ -287,14 +287,14 @@ class Place(NamedTuple):
 def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
     """The places of the parts of a cloud, largest volume first, and after them the areas of which nothing can be said.
 
-    Cells that touch, at a corner too, are a part if they have :data:`LEAST_AREA`; squares of :data:`SQUARE` cells cut what is
+    Cells that touch, at a corner too, are a part if they have :data:`LEAST_AREA`; squares of :data:`SQUARE_CELLS` cells cut what is
     wider. Parts that one view shows are a place. The largest are listed, :data:`MOST` per square kilometre. ``metre``: per unit.
     """
     found = np.concatenate([part.cells for part in parts]) if parts else np.zeros(0, SUSPECT)
     found = found[np.lexsort(found["cell"].T)]
     found = found[(np.bincount(of := _connected(_key(found["cell"]))) * SIDE**2 >= LEAST_AREA)[of]]
-    square, at, count = np.unique(_key(found["cell"] // SQUARE), return_inverse=True, return_counts=True)
-    blank = np.flatnonzero(count >= BLANK * SQUARE**2)
+    square, at, count = np.unique(_key(found["cell"] // SQUARE_CELLS), return_inverse=True, return_counts=True)
+    blank = np.flatnonzero(count >= BLANK * SQUARE_CELLS**2)
     area, of = np.full(len(square), -1), _connected(square[blank])
     area[blank] = np.where((np.bincount(of) > 1)[of], of, -1)
     blanks = _listed(found, area[at], metre)
@@ -309,7 +309,7 @@ def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
         place, cell = np.full((2, len(found)), _WIDE), found["cell"][:, axis].astype(np.int64)
         np.minimum.at(place[0], of, cell)
         np.minimum.at(place[1], of, -cell)
-        wide |= (-place[1] - place[0])[of] >= SQUARE
+        wide |= (-place[1] - place[0])[of] >= SQUARE_CELLS
     part = np.where(wide, of * np.int64(len(square)) + at, -1 - of)
     most = max(FEW, math.floor(MOST * sum(part.area for part in parts) / 1e6))
     places = _listed(found, _gathered(found, part, most), metre)
@@ -317,7 +317,7 @@ def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
 
 
 def _gathered(found: np.ndarray, part: np.ndarray, most: int) -> np.ndarray:
-    """i64[n]: the place of each cell, negative for none: a part of large volume and those around it, up to :data:`LARGEST`.
+    """i64[n]: the place of each cell, negative for none: a part of large volume and those around it, up to :data:`LARGEST_AREA`.
 
     ``part``: i64[n], of each cell.
     """
@@ -337,7 +337,7 @@ def _gathered(found: np.ndarray, part: np.ndarray, most: int) -> np.ndarray:
         near = np.array(tree.query_ball_point(middle[first], VIEW, p=np.inf))
         near = near[place[near] < 0]
         near = near[np.lexsort((rank[near], -likely[near], near != first))]
-        place[near[np.cumsum(count[near]) * SIDE**2 <= LARGEST]] = number
+        place[near[np.cumsum(count[near]) * SIDE**2 <= LARGEST_AREA]] = number
         number += 1
     return place[part]
 
