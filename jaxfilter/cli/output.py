@@ -92,8 +92,16 @@ def tell(session: Session, report: RunReport) -> None:
         more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
         words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
         session.note(f"{words}: {'; '.join(listed)}{more}")
-    for remark, times in report.remarks.items():
-        session.warn(remark, times)
+    alike: dict[str, list[str]] = {}  # what is said of many files is said once
+    for remark in report.remarks:
+        alike.setdefault(remark.partition(": ")[2] or remark, []).append(remark)
+    for what, remarks in alike.items():
+        first, others = remarks[0], len(remarks) - 1
+        if others:
+            name = first.removesuffix(f": {what}")
+            session.warn(f"{name} and {count(others, 'other file')}: {what}")
+        else:
+            session.warn(first, report.remarks[first])
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:

@@ -15,7 +15,10 @@ from ..files.classes import Classes
 from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES
+from ..terrain.interpolation import Interpolation
 from ..terrain.layers import LAYERS
+from .collection import Collection
+from .collection import open as open_collection
 from .ground import ground as classify
 from .kept import WaterWanted
 from .measures import Recipe
@@ -24,7 +27,7 @@ from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
 
-CLASSIFIED, PAGE = "classified", "survey.html"
+CLASSIFIED = "classified"
 
 
 class Products(NamedTuple):
@@ -51,8 +54,10 @@ def products(
     *,
     only: Iterable[str] | None = None,
     cell: float = 1.0,
+    interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     classes: Classes = Classes(),
+    review: str | Path | None = None,
     breaklines: str | Path | None = None,
     run: RunOptions = RunOptions(),
 ) -> Products:
@@ -69,7 +74,10 @@ def products(
             as in :func:`jaxfilter.heights`, and then no files are classified.
         only: names of what is made, such as ``["dtm", "contours"]``; by default everything (docs/products.md).
         cell: side of the cells of rasters, in file units.
+        interpolation: of heights between ground points, as in :func:`jaxfilter.dtm`.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
+        review: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the places to look at, as in
+            :func:`jaxfilter.ground`; only if files are classified.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
             terrain is level, see :func:`jaxfilter.breaklines`.
 
@@ -80,7 +88,7 @@ def products(
     >>> [file.rpartition("/")[2] for file in made.rasters.files]
     ['dtm.tif', 'hillshade.tif']
     """
-    from ..reports.survey_page import write_survey_page
+    from ..reports.survey_page import PAGE, write_survey_page
 
     names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
@@ -91,44 +99,55 @@ def products(
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
     layers = [entry.kind() for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
-    outlined = None if breaklines is None else Path(breaklines)
-    if outlined is not None:
-        check_suffix(outlined, VECTOR_SUFFIXES)
-        if any(isinstance(place, Path) and outlined.absolute() == place.absolute() for place in outputs.values()):
-            raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the contours: name another")
+    taken = {place.absolute(): layer.NAME for layer, place in outputs.items() if isinstance(place, Path)}
+    for name, given in (("review", review), ("breaklines", breaklines)):
+        if given is None:
+            continue
+        check_suffix(path := Path(given), VECTOR_SUFFIXES)
+        if (other := taken.setdefault(path.absolute(), name)) != name:
+            raise ParameterError(f"{name}={str(given)!r}: is the file of the {other}: name another")
+    source: GroundSource = Recipe() if ground is None else ground
+    if review is not None and not isinstance(source, Filter | Recipe):
+        raise ParameterError(
+            f"review={str(review)!r}: places come from a filter, and classes say here what is ground: leave it out, and list "
+            "places with review_survey (jaxfilter review)"
+        )
     for place in (*outputs.values(), folder / PAGE):
         if is_there(place) and not (run.overwrite or run.resume):
             raise OutputError(
                 f"{place}: the file exists; pass overwrite=True to replace it, or pass resume=True to go on"
             )
+    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     if isinstance(folder, Path) and not run.dry_run:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-    classified = None
-    water = WaterWanted(path=outlined)
-    source: GroundSource = Recipe() if ground is None else ground
+    classified: RunReport | None = None
+    water = WaterWanted(path=None if breaklines is None else Path(breaklines))
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        act = functools.partial(classify, what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes)
+        how: dict[str, Any] = {"reading": reading, "classes": classes, "review": review}
+        act = functools.partial(classify, collection, f"{folder / CLASSIFIED}/", source, **how)
         classified = act(run=run)
         if classified.was_complete:  # its water is not known any more
             classified = act(run=anew)
         if reading.aoi is None:
-            water = WaterWanted(False, classified.water is not None, classified.water, outlined)
+            water = WaterWanted(False, classified.water is not None, classified.water, water.path)
     if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
-        tried = make_rasters(what, Rasters(outputs, cell), source, reading=reading, run=run)
+        tried = make_rasters(collection, Rasters(outputs, cell, interpolation), source, reading=reading, run=run)
         return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
+    what = collection
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
         what = classified.files
         source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    rasters = make_rasters(what, Rasters(outputs, cell, water=water), source, reading=reading, run=anew)
-    measured = (rasters if classified is None else classified).method or "classes of the files"
-    size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
-    found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
-    figures = zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)
-    write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
+    wanted = Rasters(outputs, cell, interpolation, water)
+    rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
+    if classified is not None:  # what was warned of inputs comes again from the classified files
+        known = {remark.partition(": ")[2] for remark in classified.remarks}
+        for remark in [one for one in rasters.remarks if one.partition(": ")[2] in known]:
+            del rasters.remarks[remark]
+    write_survey_page(folder, wanted, (classified or rasters, rasters), collection, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)

@@ -106,9 +106,9 @@ class Forecast(NamedTuple):
     files: list[str]
 
 
-TILE = np.dtype([("core", "f8", 4), ("ground", "f8")])
-"""A row of the table of tiles: xmin, ymin, xmax, ymax in file units; and the share of ground of the points, NaN where there are
-none, -1 for tiles that were set aside."""
+TILE = np.dtype([("core", "f8", 4), ("ground", "f8"), ("points", "i8")])
+"""A row of the table of tiles: xmin, ymin, xmax, ymax in file units; the share of ground of the points, NaN where there are none,
+-1 for tiles that were set aside; and the number of points."""
 
 
 @dataclasses.dataclass
@@ -169,6 +169,7 @@ class RunReport:
     def add_tile(self, number: int, summary: Summary) -> None:
         """Take in a tile that is done."""
         self.total.add(summary)
+        self.table["points"][number] = summary.points
         if summary.points:
             self.table["ground"][number] = summary.ground / summary.points
 

@@ -73,9 +73,11 @@ class TiledSurvey(Survey):
                 return product.REPORT(files=[str(place) for place in targets.places], failed=failed)
             if store.facts:
                 store.check_facts(store.facts, self._begin_of(product))
-            product, plan = self._planned(product)
+            with collected_warnings() as remarks:
+                product, plan = self._planned(product)
             self._record(product, plan)
             run = Run(product, plan, self.collection, targets, self.options)
+            run.report.total.remarks.update(remarks)
             try:
                 run()
                 if targets.in_place:
