@@ -73,7 +73,8 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "findings": dataclasses.asdict(findings),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())]))
+    text = "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())])
+    return Answer(facts, text, always=True)
 
 
 def _plain(value: Any) -> str:
