@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import math
 import re
@@ -92,6 +93,17 @@ def test_what_labels_and_model_say(folder, tmp_path):
     assert labels["ground"] == 4500 and labels["ground_per_m2"] == pytest.approx(4500 / (SIDE**2 - 25))
     assert labels["named_places"] == 0 and said["made"]["jaxfilter"] == jf.__version__
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.json"]
+    datetime.date.fromisoformat(json.loads((tmp_path / "a.json").read_text())["made"]["date"])
+
+
+def test_the_page_says_in_words_how_files_were_made(folder, tmp_path):
+    parameters = {"cell": 0.5, "cut": None, "scaling": False, "rules": ["one", "two"]}
+    (tmp_path / "points.laz").write_bytes((folder / "points.laz").read_bytes())
+    (tmp_path / "jaxfilter-run.json").write_text(json.dumps({"method": "SMRF", "parameters": parameters}))
+    jf.accuracy_statement(tmp_path / "points.laz", folder / "model.tif", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text()
+    assert "the method SMRF" in page and "<td>not set</td>" in page and "<td>no</td>" in page
+    assert "<td>one, two</td>" in page and "{" not in page.partition("<main>")[2]
 
 
 def test_points_beside_the_model_do_not_count(folder, tmp_path):
@@ -118,7 +130,8 @@ def test_verdicts_are_those_on_these_files(folder, tmp_path):
         said = jf.accuracy_statement(tmp_path / name, folder / "model.tif", page, run=again)
         return said["made"]["verdicts"]
 
-    assert verdicts("a.laz") == {"bridge": 1} and verdicts("b.laz") == {}
+    assert verdicts("b.laz") == {} and verdicts("a.laz") == {"bridge": 1}
+    assert "<td>1 as bridge</td>" in (tmp_path / "s.html").read_text()
     (tmp_path / "a.laz").write_bytes((folder / "points.laz").read_bytes())  # labelled anew
     assert verdicts("a.laz") == {}
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
+import re
 import shutil
 
 import geopandas
@@ -19,7 +21,10 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli.terrain import layer_command
+from jaxfilter.reports.survey_page import write_survey_page
+from jaxfilter.surveys.model import Rasters, TerrainReport
 from jaxfilter.surveys.products import Products
+from jaxfilter.surveys.report import TILE
 from jaxfilter.terrain.layer import Layer, setting
 from jaxfilter.terrain.layers import LAYERS, Entry
 
@@ -355,8 +360,45 @@ def test_all_files_are_cloud_optimized_and_the_page_shows_them(done):
     for name in RASTERS:
         with rasterio.open(out / f"{name}.tif") as file:
             assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and f'href="{name}.tif"' in page
-    assert page.count("data:image/png;base64,") == len(RASTERS)
+    assert page.count("data:image/png;base64,") == len(LAYERS)
     assert 'href="contours.gpkg"' in page and f"{made.rasters.ground:,}" in page
+    for words in ("(EPSG:25832)", "not stated", str(datetime.date.today()), jf.__version__, "linear in triangles"):
+        assert words in page, words
+
+
+def test_the_page_says_what_is_missing_and_that_a_table_is_cut(survey, done, tmp_path):
+    table = np.zeros(600, TILE)
+    table["core"] = np.arange(600)[:, None] * 10 + [0, 0, 10, 5]
+    table["points"], table["ground"] = 100, 0.25
+    table["points"][3], table["ground"][3] = 0, -1
+    place = {"x": 5.0, "y": 6.0, "area": 40.0, "chance": 0.5, "reason": "few ground points"}
+    places = [place | {"volume": float(volume)} for volume in range(70, 0, -1)]
+    aside, failed = {"tile": 3, "core": [], "reason": "no <room>"}, {"file": "b.laz", "reason": "is damaged"}
+    report = TerrainReport(
+        table=table, places=places, method="SMRF", parameters={"slope": 0.15, "cut": None}, set_aside=[aside],
+        failed=[failed], bounds=(0, 0, 1e4, 1e4),
+    )  # fmt: skip
+    report.total.classes.update({(0, 2): 7, (2, 2): 5})
+    write_survey_page(tmp_path, Rasters({}), (report, report), jf.open(survey / "one.laz"), overwrite=False)
+    tables = {
+        title: [
+            re.findall("<t[hd] scope=.row.>(.*?)</th>|<td>(.*?)</td>", row)
+            for row in re.findall("<tr>(.*?)</tr>", body)
+        ]
+        for title, body in re.findall("<h2>(.*?)</h2>(.*?)</section>", (tmp_path / "survey.html").read_text())
+    }
+    rows = {title: [["".join(cell) for cell in row] for row in found if row] for title, found in tables.items()}
+    assert rows["Classes of the points"] == [["2 ground", "12", "1200.0 %"]]
+    assert [row[4] for row in rows["Places to check"]] == [str(volume) for volume in range(70, 20, -1)]
+    missing = [["tile 3", "failed: no &lt;room&gt;"], ["b.laz", "was not written: is damaged"]]
+    assert rows["What could not be done"] == missing and len(rows["Tiles"]) == 500
+    assert rows["Tiles"][2:4] == [
+        ["2", "20", "30", "20", "25", "100", "2.00", "25.0 %", "done"],
+        ["3", "30", "40", "30", "35", "0", "0.00", "", "failed"],
+    ]
+    assert [row[:2] for row in rows["Parameters of the method SMRF"]] == [["slope", "0.15"], ["cut", "not set"]]
+    page = (tmp_path / "survey.html").read_text()
+    assert "600 tiles; the first 500" in page and "70 places; the first 50" in page
 
 
 @pytest.mark.parametrize("name", LAYERS)
@@ -402,12 +444,19 @@ def test_a_new_raster_is_a_class_and_a_line_in_the_list(survey, tmp_path, monkey
 
 def test_products_by_command(survey, tmp_path):
     out = tmp_path / "out"
-    words = ("products", survey / "in", out, "--workers", 1)
-    for wrong in (("--only", "dtm,hill"), ("--filter", "pmf", "--ground-class", 2), ("--only", "")):
+    words, alone = (
+        ("products", survey / "in", out, "--workers", 1),
+        ("--review", tmp_path / "x.gpkg", "--ground-class", 2),
+    )
+    for wrong in (("--only", "dtm,hill"), ("--filter", "pmf", "--ground-class", 2), ("--only", ""), alone):
         assert run(*words, *wrong).exit_code == 2 and not out.exists()
     pmf = ("--filter", "pmf", "--set", "max_window=9", "--cell", 2, "--quiet")
-    report = facts(*words, "--only", "hillshade, voids", *pmf)
-    assert sorted(p.name for p in out.iterdir()) == ["classified", "hillshade.tif", "survey.html", "voids.tif"]
+    more = ("--review", out / "places.gpkg", "--method", "idw")
+    report = facts(*words, "--only", "hillshade, voids", *pmf, *more)
+    made = ["classified", "hillshade.tif", "places.gpkg", "survey.html", "voids.tif"]
+    assert sorted(p.name for p in out.iterdir()) == made
+    assert len(geopandas.read_file(out / "places.gpkg")) == len(report["classified"]["places"])
+    assert "inverse distance" in (out / "survey.html").read_text()
     assert report["classified"]["method"] == "PMF" and report["ground"] == report["classified"]["ground"] > 1000
     refused = run(*words, "--only", "voids")
     assert refused.exit_code == 1 and "pass --overwrite to replace it, or pass --resume to go on" in refused.stderr

@@ -538,7 +538,7 @@ def test_the_map_of_one_tile_says_what_was_found(tmp_path, monkeypatch):
     """Figures, and how many places there are; no scale, which would have one colour."""
     seen = []
     monkeypatch.setattr("jaxfilter.plots.footprints", lambda *a, **k: seen.append(footprints(*a, **k)) or seen[-1])
-    tiles = np.array([((0.0, 0.0, 9.0, 9.0), 0.25)], TILE)
+    tiles = np.array([((0.0, 0.0, 9.0, 9.0), 0.25, 0)], TILE)
     report = RunReport(Summary(points=200, ground=50), tiles, ["a.laz"], method="OST")
     report.places = [{"x": 3.0, "y": 4.0, "volume": 5.0}]
     report.draw(tmp_path / "map.png")

@@ -92,7 +92,7 @@ def _draw(directory: Path, scene: Scene, ground: np.ndarray) -> None:
         plots.hillshade(terrain, title="true terrain").figure,
         plots.hillshade(found, title="filtered ground").figure,
         plots.error_map(cloud, ground, truth, surface=terrain, title="errors").figure,
-        plots.panel(cloud, ground, truth),
+        plots.panel(cloud, ground, truth, surface=terrain),
     )
     for name, figure in zip(PICTURES, figures, strict=True):
         with new_file(directory / f"{name}.png", overwrite=True) as part:

@@ -41,7 +41,7 @@ def report_text(report: dict[str, Any]) -> str:
     """What `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
     if report["was_complete"]:
         return f"{report['output']} {_COMPLETE}"
-    ground, points, compiled = report["ground"], report["points"], report["compilations"]
+    ground, points = report["ground"], report["points"]
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
     share, judged = 100 * ground / max(points, 1), f"{report['candidates']:,} were judged"
     lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
@@ -54,9 +54,8 @@ def report_text(report: dict[str, Any]) -> str:
     if (xy, z) != (1.0, 1.0):
         lines.append(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
-    made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     sensor = (report["parameters"] or {}).get("sensor")
-    done = "; ".join(part for part in (ended, times(report["seconds"]), made) if part)
+    done = "; ".join(part for part in (ended, times(report["seconds"])) if part)
     lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {done}")
     if report["tiles"] > 1:
         lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
@@ -100,8 +99,16 @@ def tell(session: Session, report: RunReport) -> None:
         session.note(f"{words}: {'; '.join(listed)}{more}")
     if unknown:
         session.note(f"{UNKNOWN_AREA}: {sum(unknown):,.0f} m2 in {count(len(unknown), 'place')}")
-    for remark, times in report.remarks.items():
-        session.warn(remark, times)
+    alike: dict[str, list[str]] = {}  # what is said of many files is said once
+    for remark in report.remarks:
+        alike.setdefault(remark.partition(": ")[2] or remark, []).append(remark)
+    for what, remarks in alike.items():
+        first, others = remarks[0], len(remarks) - 1
+        if others:
+            name = first.removesuffix(f": {what}")
+            session.warn(f"{name} and {count(others, 'other file')}: {what}")
+        else:
+            session.warn(first, report.remarks[first])
     for one in report.set_aside:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     named = " ".join(session.warnings)
@@ -185,7 +192,7 @@ class Answer:
 
 _EVERY = "Seconds between lines of progress, if standard error is no terminal."
 SESSION = [
-    option("--quiet -q", "Print no progress, no notes and no summary. Warnings and errors stay.", bool),
+    option("--quiet -q", "Print warnings and errors only. Answers of info, evaluate and --dry-run stay.", bool),
     option("--json as_json", "Print the result as JSON.", bool),
     option("--log", "Append each step with its time, warnings and errors to this file.", OUTPUT),
     option("--progress-every", _EVERY, click.FloatRange(0), default=LINE_EVERY),

@@ -76,7 +76,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "members": survey.table().to_dict(orient="records"),
     }
     text = "\n".join([_survey_text(survey), *map(session.in_flags, findings.lines())])
-    return Answer(facts, text, complete=not findings.unreadable)
+    return Answer(facts, text, always=True, complete=not findings.unreadable)
 
 
 def _plain(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..terrain.layers import LAYERS
-from .commands import command, main
+from .commands import REVIEW, command, main
 from .options import (
     BOUNDS,
     BREAKLINES,
@@ -178,6 +178,8 @@ def _cells(report: TerrainReport, side: str) -> str:
     ),
     option("--only", f"What is made, with commas between: {','.join(LAYERS)}.  [default: everything]", "NAMES"),
     *CELL,
+    _MODEL[0],
+    REVIEW,
     BREAKLINES,
     *RUN_OPTIONS[:-1],
 )
@@ -194,6 +196,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     from ..surveys.products import products as make_products
     from ..terrain.interpolation import Interpolation
 
+    interpolation = take(Interpolation, options)  # before the filter, whose method has another option
     recipe, classes, known = take_recipe(options), take_classes(options), options.pop("known")
     if recipe is not None and known:
         raise BadUsage(
@@ -208,12 +211,11 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     layers = [LAYERS[name].kind(**with_settings[name]) if name in with_settings else name for name in only]
     if names[-1] == "-" or (len(names) > 1 and Path(names[-1]).is_file()):
         raise BadUsage(f"{names[-1]}: products are several files: name a folder")
-    check_shapes(options, options["breaklines"], made=names[-1])
+    check_shapes(options, options["review"], options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
     cell, side = _side(files, options)
-    how = {"only": layers, "cell": options["like"] or cell, "classes": classes, "breaklines": options["breaklines"]}
-    how |= {"nodata": options["nodata"]}
-    how["interpolation"] = Interpolation(max_gap=options["max_gap"], max_edge=options["max_edge"])
+    how = {"only": layers, "cell": options["like"] or cell, "nodata": options["nodata"], "interpolation": interpolation}
+    how |= {"classes": classes, "review": options["review"], "breaklines": options["breaklines"]}
     made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast
     if plan is not None:
@@ -222,6 +224,8 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     if made.ground is not None:
         tell(session, made.ground)
     text = f"{_cells(made.rasters, side)}\n"
+    if options["review"] is not None and made.ground is not None:
+        text += f"{options['review']}: {count(len(made.ground.places), 'place')}\n"
     if options["breaklines"] is not None:
         text += f"{options['breaklines']}: {count(made.rasters.as_dict()['water_bodies'], 'outline')} of water\n"
     answer = _answer(made.rasters, files, text, "cell")

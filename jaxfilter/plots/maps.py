@@ -282,7 +282,13 @@ def profile(
     return ax
 
 
-def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.ndarray | None = None) -> Any:
+def panel(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    reference: np.ndarray | None = None,
+    *,
+    surface: tuple[np.ndarray, Grid] | None = None,
+) -> Any:
     """A figure of five: the surface on top of all points, that of the reference ground and that of the result, the error map, and
     a west-east profile.
 
@@ -290,6 +296,7 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
         cloud: n points.
         result: FilterResult or bool[n], True = ground.
         reference: bool[n], True = ground; by default the cloud's own.
+        surface: (z, Grid) of the true ground, as of :func:`error_map`.
 
     Returns: the matplotlib Figure. Raises: InputError without a reference.
 
@@ -297,7 +304,7 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
     5
     """
     reference = reference_labels(cloud if reference is None else reference)[0]
-    truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
+    truth = surface or rasterise(cloud.xyz[reference], over=cloud.xyz)
     map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))
     figure = new_figure((14.5, map_height + 3.1))
     places = figure.add_gridspec(2, 4, height_ratios=(map_height + 1.0, 1.7))

@@ -288,7 +288,8 @@ def places_of(parts: Sequence[Suspects], metre: float) -> list[Place]:
     """The places of the parts of a cloud, largest volume first, and after them the areas of which nothing can be said.
 
     Cells that touch, at a corner too, are a part if they have :data:`LEAST_AREA`; squares of :data:`SQUARE_CELLS` cells cut
-    what is wider. Parts that one view shows are a place. The largest are listed, :data:`MOST` per square kilometre. ``metre``: per unit.
+    what is wider. Parts that one view shows are a place. The largest are listed, :data:`MOST` per square kilometre. ``metre``:
+    per unit.
     """
     found = np.concatenate([part.cells for part in parts]) if parts else np.zeros(0, SUSPECT)
     found = found[np.lexsort(found["cell"].T)]

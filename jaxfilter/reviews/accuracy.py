@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import math
 import warnings
@@ -25,7 +26,7 @@ from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
 from ..reports.page import PAGE_SUFFIXES
-from ..reports.survey_page import page_of, table
+from ..reports.survey_page import page_of, parameter_table, table
 from ..surveys.collection import Collection
 from ..surveys.collection import open as open_collection
 from ..surveys.options import RunOptions
@@ -75,8 +76,8 @@ def accuracy_statement(
         ground, reading, run: as in :func:`review_survey`.
 
     Returns: dict of what the page says: ``checkpoints`` (NVA, VVA, and by land cover), ``labels`` (expected wrong points from the
-    extra dimension doubt, area of named places, density of ground points), ``model`` (area, voids), ``made`` (versions,
-    parameters), ``notes`` and ``standards``.
+    extra dimension doubt, area of named places, density of ground points), ``model`` (area, voids), ``made`` (date,
+    version, method, parameters, verdicts), ``notes`` and ``standards``.
     Raises: InputError for check points in another vertical datum than that of the model, or without coordinates, for a model
     beside the points, and for a damaged report beside the files; OutputError.
 
@@ -262,7 +263,7 @@ def _sum_doubt(collection: Collection, inner: Bounds | None) -> float | None:
 def _read_records(collection: Collection) -> tuple[dict[str, Any], shapely.Geometry]:
     """How the files were made, as far as the reports beside them say, and the places that were decided, with their rims; verdicts
     are those on files that are as they left them. Raises: InputError for a damaged report."""
-    found: dict[str, Any] = {"jaxfilter": __version__}
+    found: dict[str, Any] = {"date": datetime.date.today().isoformat(), "jaxfilter": __version__}
     decided: list[shapely.Geometry] = []
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
         if (place := folder / REPORT).is_file():
@@ -290,27 +291,46 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
         return "none" if value is None else f"{value:.3f}"
 
     if points is not None:
-        figures = (("nva", "RMSEz (2023)", "rmse_m"), ("nva", "1.96 RMSEz (2014)", "accuracy_95_m"),
-                   ("vva", "RMSEz (2023)", "rmse_m"), ("vva", "95th percentile (2014)", "p95_m"))  # fmt: skip
-        rows = [(f"{k.upper()}, {words}", points[k]["points"], metres(points[k][key])) for k, words, key in figures]
-        sections.append("<h2>Check points</h2>" + table(("", "points", "metres"), rows))
+        figures = (
+            ("nva", "Land without plants (NVA), RMSEz (2023)", "rmse_m"),
+            ("nva", "Land without plants (NVA), 1.96 RMSEz (2014)", "accuracy_95_m"),
+            ("vva", "Land with plants (VVA), RMSEz (2023)", "rmse_m"),
+            ("vva", "Land with plants (VVA), 95th percentile (2014)", "p95_m"),
+        )
+        rows = [(words, points[kind]["points"], metres(points[kind][key])) for kind, words, key in figures]
+        said = "<p>How far the model lies from heights that were measured on the ground, in metres.</p>"
+        sections.append(f"<h2>Check points</h2>{said}" + table(("figure", "check points", "metres"), rows))
         covers = [(name, one["points"], *(metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
                   for name, one in points["by_cover"].items()]  # fmt: skip
-        sections.append(table(("land cover", "points", "mean", "RMSEz", "95th percentile", "largest"), covers))
-    said: list[tuple[str, Any]] = [
-        ("points", labels["points"]), ("ground points", labels["ground"]), ("CRS", model["crs"] or "not stated"),
+        sections.append(
+            table(("land cover", "check points", "mean difference", "RMSEz", "95th percentile", "largest"), covers)
+        )
+    model_facts: list[tuple[str, Any]] = [
+        ("points", labels["points"]), ("ground points", labels["ground"]),
+        ("coordinate reference system", model["crs"] or "not stated"),
         ("ground points per m2 of the model", f"{labels['ground_per_m2']:.2f}"),
-        ("expected wrong points per km2", "not known" if wrong is None else f"{wrong:,.0f}"),
+        ("points per km2 that are expected to have a wrong class", "not known" if wrong is None else f"{wrong:,.0f}"),
         ("places where the terrain may be wrong", labels["named_places"]), ("their area, m2", f"{labels['named_m2']:,.0f}"),
-        ("area of the model, km2", f"{model['km2']:.4g}"), ("cell, m", f"{model['cell_m']:g}"),
+        ("area of the model, km2", f"{model['km2']:.4g}"), ("side of a cell, m", f"{model['cell_m']:g}"),
         ("cells without a height", f"{model['void_cells']:,} ({model['void_percent']:.2f} %)"),
     ]  # fmt: skip
-    sections.append("<h2>Labels and model</h2>" + table((), said))
-    sections.append("<h2>How it was made</h2>" + table((), [(key, str(value)) for key, value in facts["made"].items()]))
+    sections.append("<h2>Points and model</h2>" + table((), model_facts))
+    made = facts["made"]
+    verdicts = ", ".join(f"{number} as {word}" for word, number in made.get("verdicts", {}).items())
+    how = [
+        ("date", made["date"]),
+        ("software", f"jaxfilter {made['jaxfilter']}"),
+        ("ground found by", f"the method {made['method']}" if made.get("method") else "not known"),
+        ("places decided by people", verdicts or "none"),
+    ]
+    sections.append("<h2>How it was made</h2>" + table((), how))
+    if isinstance(parameters := made.get("parameters"), dict):
+        title = f"<h2>Parameters of the method {escape(str(made['method']))}</h2>"
+        sections.append(title + parameter_table(made["method"], parameters))
     for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
         sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
     body = "".join(f"<section>{one}</section>" for one in sections)
-    text = page_of(page.stem, "accuracy", "Statement of accuracy", body)
+    text = page_of(page.stem, "accuracy", f"Statement of accuracy · {made['date']}", body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
             part.write_text(content, encoding="utf-8", errors="replace")

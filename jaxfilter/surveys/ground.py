@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.compilation import compilations, watch_compilations
 from ..core.errors import ParameterError, warn
 from ..core.filter import Filter
 from ..core.reading import Reading
@@ -60,9 +61,11 @@ class GroundProduct(Product):
         around = self.read(tile, summary)
         if self.reading.aoi is not None and not around.core.any():
             return {}, summary
-        cloud, start = around.cloud, time.perf_counter()
+        watch_compilations()
+        cloud, start, before = around.cloud, time.perf_counter(), compilations()[1]
         result = self.filter(cloud, workers=local.threads, progress=local.progress)
-        summary.seconds["filter"] = (done := time.perf_counter()) - start
+        done, compiled = time.perf_counter(), compilations()[1] - before
+        summary.seconds["compile"], summary.seconds["filter"] = compiled, max(done - start - compiled, 0.0)
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes)
         summarise(summary, around, result, found, None if bare else self.classes)

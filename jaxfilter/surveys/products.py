@@ -17,6 +17,8 @@ from ..files.vectors import VECTOR_SUFFIXES
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer
 from ..terrain.layers import LAYERS
+from .collection import Collection
+from .collection import open as open_collection
 from .ground import ground as classify
 from .kept import WaterWanted
 from .measures import Recipe
@@ -25,7 +27,7 @@ from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
 
-CLASSIFIED, PAGE = "classified", "survey.html"
+CLASSIFIED = "classified"
 
 
 class Products(NamedTuple):
@@ -56,6 +58,7 @@ def products(
     interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     classes: Classes = Classes(),
+    review: str | Path | None = None,
     breaklines: str | Path | None = None,
     run: RunOptions = RunOptions(),
 ) -> Products:
@@ -76,6 +79,8 @@ def products(
         nodata: what stands for no value in rasters of float32, by default -9999.
         interpolation: of heights between ground points, see :class:`Interpolation`.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
+        review: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the places to look at, as in
+            :func:`jaxfilter.ground`; only if files are classified.
         breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
             terrain is level, see :func:`jaxfilter.breaklines`.
 
@@ -86,7 +91,7 @@ def products(
     >>> [file.rpartition("/")[2] for file in made.rasters.files]
     ['dtm.tif', 'hillshade.tif']
     """
-    from ..reports.survey_page import write_survey_page
+    from ..reports.survey_page import PAGE, write_survey_page
 
     asked, folder = list(LAYERS if only is None else only), place_of(out)
     given = {layer.NAME: layer for layer in asked if isinstance(layer, Layer)}
@@ -99,28 +104,40 @@ def products(
         raise OutputError(f"{folder}: is a file, and products are written into a folder: name a folder")
     layers = [given.get(name) or entry.kind() for name, entry in LAYERS.items() if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
-    outlined = None if breaklines is None else Path(breaklines)
-    if outlined is not None:
-        check_suffix(outlined, VECTOR_SUFFIXES)
-        if any(isinstance(place, Path) and outlined.absolute() == place.absolute() for place in outputs.values()):
-            raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the contours: name another")
+    taken = {place.absolute(): layer.NAME for layer, place in outputs.items() if isinstance(place, Path)}
+    for name, shapes in (("review", review), ("breaklines", breaklines)):
+        if shapes is None:
+            continue
+        check_suffix(path := Path(shapes), VECTOR_SUFFIXES)
+        if (other := taken.setdefault(path.absolute(), name)) != name:
+            raise ParameterError(f"{name}={str(shapes)!r}: is the file of the {other}: name another")
+    source: GroundSource = Recipe() if ground is None else ground
+    if review is not None and not isinstance(source, Filter | Recipe):
+        raise ParameterError(
+            f"review={str(review)!r}: places come from a filter, and classes say here what is ground: leave it out, and list "
+            "places with review_survey (jaxfilter review)"
+        )
     for place in (*outputs.values(), folder / PAGE):
         if is_there(place) and not (run.overwrite or run.resume):
             raise OutputError(
                 f"{place}: the file exists; pass overwrite=True to replace it, or pass resume=True to go on"
             )
+    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     if isinstance(folder, Path) and not run.dry_run:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-    classified = None
-    source: GroundSource = Recipe() if ground is None else ground
+    classified: RunReport | None = None
+    water = WaterWanted(path=None if breaklines is None else Path(breaklines))
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     if isinstance(source, Filter | Recipe):
-        classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
+        how: dict[str, Any] = {"reading": reading, "classes": classes, "review": review}
+        classified = classify(collection, f"{folder / CLASSIFIED}/", source, run=run, **how)
+        if classified.was_complete:
+            classified = classified.recalled(folder / CLASSIFIED)
     if run.dry_run:
         known = reading.aoi is None and classified is not None  # around an area the rasters look for the ground again
         wanted = Rasters(outputs, cell, interpolation)
-        tried = make_rasters(what, wanted, (2,) if known else source, reading=reading, run=run)
+        tried = make_rasters(collection, wanted, (2,) if known else source, reading=reading, run=run)
         if classified is not None and classified.forecast is not None and tried.forecast is not None:
             seconds = classified.forecast.seconds + tried.forecast.seconds
             tried.forecast = tried.forecast._replace(seconds=seconds)
@@ -130,19 +147,16 @@ def products(
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
     lost = [] if classified is None else [*classified.failed, *classified.left_out]
     left_out: tuple[str, ...] = ()
+    what = collection
     if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
         what, left_out = classified.files, tuple(dict.fromkeys(one["file"] for one in lost))
         source = (classes.ground_class,)
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    wanted = Rasters(outputs, cell, interpolation, WaterWanted(path=outlined), left_out, nodata)
+    wanted = Rasters(outputs, cell, interpolation, water, left_out, nodata)
     rasters = make_rasters(what, wanted, source, reading=reading, run=anew)
-    for remark in [one for one in rasters.remarks if one.startswith(f"{folder / CLASSIFIED}")]:
-        del rasters.total.remarks[remark]  # it was said of the input
-    measured = (rasters if classified is None else classified).method or "classes of the files"
-    size = f"{rasters.rows:,} x {rasters.columns:,} of {rasters.transform[0]:g}"
-    found = (rasters.points, rasters.ground, measured, rasters.tiles, size)
-    figures = [*zip(("points", "ground", "found by", "tiles", "cells"), found, strict=True)]
-    why_lost = {place_of(one["file"]).name: one["reason"] for one in (*rasters.left_out, *lost)}
-    figures += [("not read, so that nothing is known there", f"{name}: {why}") for name, why in why_lost.items()]
-    write_survey_page(folder / PAGE, folder.name, outputs, figures, overwrite=anew.overwrite)
+    if classified is not None:  # what was warned of inputs comes again from the classified files
+        said = {remark.partition(": ")[2] for remark in classified.remarks}
+        for remark in [one for one in rasters.remarks if one.partition(": ")[2] in said]:
+            del rasters.remarks[remark]
+    write_survey_page(folder, wanted, (classified or rasters, rasters), collection, overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)

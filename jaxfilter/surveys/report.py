@@ -106,9 +106,9 @@ class Forecast(NamedTuple):
     files: list[str]
 
 
-TILE = np.dtype([("core", "f8", 4), ("ground", "f8")])
-"""A row of the table of tiles: xmin, ymin, xmax, ymax in file units; and the share of ground of the points, NaN where there are
-none, -1 for tiles that were set aside."""
+TILE = np.dtype([("core", "f8", 4), ("ground", "f8"), ("points", "i8")])
+"""A row of the table of tiles: xmin, ymin, xmax, ymax in file units; the share of ground of the points, NaN where there are none,
+-1 for tiles that were set aside; and the number of points."""
 
 
 @dataclasses.dataclass
@@ -169,6 +169,7 @@ class RunReport:
     def add_tile(self, number: int, summary: Summary) -> None:
         """Take in a tile that is done."""
         self.total.add(summary)
+        self.table["points"][number] = summary.points
         if summary.points:
             self.table["ground"][number] = summary.ground / summary.points
 
@@ -192,6 +193,17 @@ class RunReport:
         with new_file(folder / REPORT, overwrite=True) as part:
             part.write_text(json.dumps(self.as_dict(), indent=1, default=_plain) + "\n")
         self.draw(folder / MAP)
+
+    def recalled(self, folder: Place) -> Self:
+        """Of a run that an earlier one had done: with the points, classes, places and method that stand in its folder."""
+        try:
+            facts = json.loads((folder / REPORT).read_text())
+            moves = {(one["before"], one["after"]): one["points"] for one in facts["classes"]}
+            total = Summary(points=facts["points"], ground=facts["ground"], classes=collections.Counter(moves))
+            known = {name: facts[name] for name in ("places", "method", "parameters")}
+        except (OSError, ValueError, KeyError):  # a folder of an older version, or edited by hand
+            return self
+        return dataclasses.replace(self, total=total, **known)
 
     def draw(self, place: Place) -> None:
         """Write a map: share of ground of each tile, those set aside with dashes, and places where the terrain may be wrong as

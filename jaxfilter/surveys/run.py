@@ -33,7 +33,7 @@ from .measures import Sampler, whole_of
 from .options import RunOptions, check_memory, executor_for, need, workers_for
 from .plan import Plan, Where, plan_tiles, where_of
 from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, sees_lowest, write_file
-from .report import TILE, Forecast, RunReport, Standing, Summary
+from .report import TILE, Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import written
 from .survey import Survey
 from .tiles import Tile, joined, read_tile
@@ -76,9 +76,11 @@ class TiledSurvey(Survey):
                 return product.REPORT(files=[str(place) for place in targets.places], failed=failed)
             if store.facts:
                 store.check_facts(store.facts, self._begin_of(product))
-            product, plan = self._planned(product)
+            with collected_warnings() as remarks:
+                product, plan = self._planned(product)
             self._record(product, plan)
             run = Run(product, plan, self.collection, targets, self.options)
+            run.report.total.remarks.update(remarks)
             try:
                 run()
                 if targets.in_place:

@@ -52,7 +52,7 @@ def in_memory(survey: Survey, product: Product) -> RunReport:
         tiles = (0,) if files.count and wanted else ()
         tile = Tile(0, None, None, (0,), (files[0],))
         product = _set_up(survey, product, tile)
-        report = product.REPORT(table=np.array([(files.bounds, math.nan)] * len(tiles), TILE), elapsed=0.0)
+        report = product.REPORT(table=np.array([(files.bounds, math.nan, 0)] * len(tiles), TILE), elapsed=0.0)
         standing = Standing("tiles", 1)
         if tiles:
             local = Local(
