@@ -8,6 +8,7 @@ import dataclasses
 import json
 import warnings
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -196,12 +197,14 @@ class RunReport:
 
     def recalled(self, folder: Place) -> Self:
         """Of a run that an earlier one had done: with the points, classes, places and method that stand in its folder."""
+        if not isinstance(place := folder / REPORT, Path) or not place.is_file():
+            return self
         try:
-            facts = json.loads((folder / REPORT).read_text())
+            facts = json.loads(place.read_text())
             moves = {(one["before"], one["after"]): one["points"] for one in facts["classes"]}
             total = Summary(points=facts["points"], ground=facts["ground"], classes=collections.Counter(moves))
             known = {name: facts[name] for name in ("places", "method", "parameters")}
-        except (OSError, ValueError, KeyError):  # a folder of an older version, or edited by hand
+        except (ValueError, KeyError):  # of an older version, or edited by hand
             return self
         return dataclasses.replace(self, total=total, **known)
 
