@@ -113,5 +113,6 @@ def disk(tmp_path):
 def plain_maps(monkeypatch):
     """Maps are put together and not rendered, which takes longer than a small run."""
     monkeypatch.setattr(
-        "matplotlib.figure.Figure.savefig", lambda figure, place, **how: Path(place).write_bytes(b"map")
+        "matplotlib.figure.Figure.savefig",
+        lambda figure, place, **how: (place.write if hasattr(place, "write") else Path(place).write_bytes)(b"map"),
     )

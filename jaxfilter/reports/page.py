@@ -28,10 +28,10 @@ from ..files.disk import check_suffix, new_file
 from ..methods.papers import citation
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
+from .html import table
 from .layers import map_layers, places_to_look_at
 from .places import as_result
 from .steps import Steps, steps_of
-from .survey_page import table
 
 PAGE_SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")

@@ -25,8 +25,8 @@ from ..files.disk import Bounds, check_suffix, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
+from ..reports.html import page_of, parameter_table, table
 from ..reports.page import PAGE_SUFFIXES
-from ..reports.survey_page import page_of, parameter_table, table
 from ..surveys.collection import Collection
 from ..surveys.collection import open as open_collection
 from ..surveys.options import RunOptions

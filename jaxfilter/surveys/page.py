@@ -7,30 +7,27 @@ import datetime
 import io
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.params import declared
 from ..core.units import Units, vertical
 from ..core.version import __version__
 from ..files.classes import class_name
 from ..files.disk import Bounds, new_file
 from ..files.storage import Place
-from ..methods import FILTERS
 from ..plots.maps import new_figure, shade
-from ..surveys.collection import common
+from ..reports.html import page_of, parameter_table, table
 from ..terrain.layer import Layer
 
 if TYPE_CHECKING:
-    from ..surveys.collection import Collection
-    from ..surveys.model import Rasters, TerrainReport
-    from ..surveys.report import RunReport
+    from .collection import Collection
+    from .model import Rasters, TerrainReport
+    from .report import RunReport
 
 PAGE = "survey.html"
 _PIXELS = 900  # of the longer side of a picture
@@ -43,20 +40,9 @@ _INTERPOLATIONS = {
     "idw": "inverse distance weighting (IDW)",
     "kriging": "kriging",
 }
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,"><title>{title} – {subject}</title><style>{style}</style></head>
-<body><header><h1>{title}</h1><p>{about} · jaxfilter {version}</p></header><main>{main}</main></body></html>
-"""
 _STYLE = """
 img { width: 100%; } .cards { grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
 """
-
-
-def page_of(title: str, subject: str, about: str, main: str, style: str = "") -> str:
-    """A page of HTML that needs no network. ``subject``, ``about``: in few words; ``main``: HTML; ``style``: more CSS."""
-    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8") + style
-    return _PAGE.format(title=escape(title), subject=subject, about=about, main=main, style=style, version=__version__)
 
 
 def write_survey_page(
@@ -226,40 +212,11 @@ def _tiles(report: RunReport, bounds: Bounds, metre: float) -> str:
     """The parts in which the survey was worked on, within the bounds of all."""
     rows, shown = [], report.table[:_MOST_TILES].tolist()
     for number, (core, ground, points) in enumerate(shown):
-        x0, y0, x1, y1 = common(core, bounds)
+        x0, y0 = np.maximum(core[:2], bounds[:2]).tolist()
+        x1, y1 = np.minimum(core[2:], bounds[2:]).tolist()
         box = [f"{value:.10g}" for value in (x0, x1, y0, y1)]
         density = points / max(max(x1 - x0, 0) * max(y1 - y0, 0) * metre**2, 1e-9)
         state = "failed" if ground == -1 else "done"
         rows.append((f"{number}", *box, points, f"{density:.2f}", f"{100 * ground:.1f} %" if points else "", state))
     heading = ("tile", "X from", "to", "Y from", "to", "points", "points per m2", "ground", "state")
     return _capped(shown, report.tiles, "tiles") + table(heading, rows)
-
-
-def parameter_table(method: str, values: Mapping[str, Any]) -> str:
-    """The parameters of a method with what they mean."""
-    known = {field.name: field.metadata for field in declared(FILTERS[method])} if method in FILTERS else {}
-    rows = []
-    for name, value in values.items():
-        about: Mapping[str, Any] = known.get(name, {})
-        rows.append((name.replace("_", " "), in_words(value), about.get("unit", ""), about.get("doc", "")))
-    return f'<div class="parameters">{table(("parameter", "value", "unit", "meaning"), rows)}</div>'
-
-
-def in_words(value: Any) -> str:
-    """A value as a reader writes it: yes or no, several with commas."""
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(str, value)) or "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "not set" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def table(heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """An HTML table; the first cell of a row is its heading, integers get thousands separators, everything is escaped."""
-    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heading)
-    lines = []
-    for row in rows:
-        first, *others = (f"{value:,}" if type(value) is int else escape(str(value)) for value in row)
-        lines.append(f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in others)}</tr>')
-    top = f"<thead><tr>{head}</tr></thead>" if head else ""
-    return f"<table>{top}<tbody>{''.join(lines)}</tbody></table>"
