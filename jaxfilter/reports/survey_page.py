@@ -179,6 +179,7 @@ def _percent(part: float, whole: float) -> str:
 
 def _capped(shown: Sequence[Any], number: int, what: str) -> str:
     """How many there are, and that a table holds some of them."""
+    what = what.removesuffix("s") if number == 1 else what
     return f"<p>{number:,} {what}" + (f"; the first {len(shown):,} are listed" if len(shown) < number else "") + ".</p>"
 
 
