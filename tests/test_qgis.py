@@ -181,7 +181,7 @@ def test_a_line_of_progress_of_the_command_is_understood(capsys):
     ),
     ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
     ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
-    ("import sys; sys.exit('Error: No such option: --progress-every')", "run pip install . in a new copy"),
+    ("import sys; sys.exit('Error: No such option: --progress-every')", "in a new copy of it, run pip install ."),
 ])  # fmt: skip
 def test_an_error_is_that_of_the_command(code, words):
     with pytest.raises(command.CommandError) as error:
