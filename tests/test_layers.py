@@ -20,8 +20,8 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli.terrain import layer_command
-from jaxfilter.reports.survey_page import write_survey_page
 from jaxfilter.surveys.model import Rasters, TerrainReport
+from jaxfilter.surveys.page import write_survey_page
 from jaxfilter.surveys.products import Products
 from jaxfilter.surveys.report import TILE
 from jaxfilter.terrain.layer import Layer, setting

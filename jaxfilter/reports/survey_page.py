@@ -1,55 +1,32 @@
-"""A page that shows the products of a survey to a client: maps with legends, links to the files, and tables."""
+"""Parts of pages for clients: the page around them, maps with legends, tables."""
 
 from __future__ import annotations
 
 import base64
-import datetime
 import io
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..core.params import declared
-from ..core.units import Units, vertical
+from ..core.units import Units
 from ..core.version import __version__
-from ..files.classes import class_name
-from ..files.disk import Bounds, new_file
 from ..files.storage import Place
 from ..methods import FILTERS
 from ..plots.maps import new_figure, shade
-from ..surveys.collection import common
 from ..terrain.layer import Layer
 
-if TYPE_CHECKING:
-    from ..surveys.collection import Collection
-    from ..surveys.model import Rasters, TerrainReport
-    from ..surveys.report import RunReport
-
-PAGE = "survey.html"
 _PIXELS = 900  # of the longer side of a picture
-_MOST_TILES, _MOST_PLACES, _MOST_LINES = 500, 50, 100_000
-"""Rows of the tables, and contour lines that are drawn."""
-_NOT_STATED = "not stated"
-_INTERPOLATIONS = {
-    "tin": "linear in triangles (TIN)",
-    "natural": "natural neighbours",
-    "idw": "inverse distance weighting (IDW)",
-    "kriging": "kriging",
-}
+_MOST_LINES = 100_000  # contour lines that are drawn
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,"><title>{title} – {subject}</title><style>{style}</style></head>
 <body><header><h1>{title}</h1><p>{about} · jaxfilter {version}</p></header><main>{main}</main></body></html>
-"""
-_STYLE = """
-img { width: 100%; } .cards { grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
 """
 
 
@@ -59,62 +36,7 @@ def page_of(title: str, subject: str, about: str, main: str, style: str = "") ->
     return _PAGE.format(title=escape(title), subject=subject, about=about, main=main, style=style, version=__version__)
 
 
-def write_survey_page(
-    folder: Place,
-    rasters: Rasters,
-    reports: tuple[RunReport, TerrainReport],
-    collection: Collection,
-    *,
-    overwrite: bool,
-) -> None:
-    """Write the page into the folder of ``rasters``. ``reports``: of the run that found the ground, and of the one that made the
-    rasters, which may be the same; ``collection``: the inputs. Raises: OutputError."""
-    found, today = reports[0], datetime.date.today().isoformat()
-    cards = "".join(_card(layer, rasters.places, collection.units) for layer in rasters.places)
-    hint = "The colours leave out the lowest and the highest hundredth of the cells. Pale blue cells have no value."
-    sections = {
-        "The survey": table((), [*_survey_facts(rasters, reports, collection), ("date", today)]),
-        "Maps": f'<p class="hint">{hint}</p><div class="cards">{cards}</div>',
-        "Classes of the points": _classes(found),
-        "Places to check": _places(found),
-        "What could not be done": _failures(reports),
-        "Tiles": _tiles(found, reports[1].bounds, collection.metre),
-    }
-    if found.method is not None:
-        sections[f"Parameters of the method {found.method}"] = parameter_table(found.method, found.parameters)
-    main = "".join(f"<section><h2>{escape(title)}</h2>{body}</section>" for title, body in sections.items())
-    with new_file(folder / PAGE, overwrite=overwrite) as temporary:
-        text = page_of(folder.name, "survey", f"Products of a survey · {today}", main, _STYLE)
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _survey_facts(
-    rasters: Rasters, reports: tuple[RunReport, TerrainReport], collection: Collection
-) -> list[tuple[str, Any]]:
-    """Names and values: where the survey lies, and how its products were made."""
-    (found, made), crs = reports, collection.crs
-    name = (
-        _NOT_STATED
-        if crs is None
-        else " ".join((crs.name, f"({':'.join(code)})" if (code := crs.to_authority()) else ""))
-    )
-    x0, y0, x1, y1 = made.bounds
-    return [
-        ("coordinate reference system", name),
-        ("heights count from", vertical(crs) or _NOT_STATED),
-        ("units", collection.units),
-        ("extent", f"X {x0:.10g} to {x1:.10g}, Y {y0:.10g} to {y1:.10g}"),
-        ("input files", len(collection)),
-        ("points", found.points),
-        ("ground points", f"{found.ground:,} ({_percent(found.ground, found.points)})"),
-        ("ground found by", f"the method {found.method}" if found.method else "the classes of the input files"),
-        ("interpolation between ground points", _INTERPOLATIONS[rasters.interpolation.method]),
-        ("rasters", f"{made.rows:,} rows and {made.columns:,} columns of cells of {rasters.cell:g} x {rasters.cell:g}"),
-        ("software", f"jaxfilter {__version__}, JAX {version('jax')}, NumPy {np.__version__}"),
-    ]
-
-
-def _card(layer: Layer, places: Mapping[Layer, Place], units: Units) -> str:
+def map_card(layer: Layer, places: Mapping[Layer, Place], units: Units) -> str:
     """A file in words, with a picture where it lies on this disk."""
     place, unit = places[layer], layer.UNITS.replace("units of Z", units.name.rpartition(" in ")[2])
     picture, values = _draw(layer, places, unit) if isinstance(place, Path) else ("", "")
@@ -171,66 +93,6 @@ def _add_lines(ax: Any, place: Place) -> np.ndarray:
         ax.add_collection(LineCollection(paths, colors="saddlebrown", linewidths=0.4))
         ax.autoscale_view()
     return table["elevation"].to_numpy(np.float64)
-
-
-def _percent(part: float, whole: float) -> str:
-    return f"{100 * part / max(whole, 1):.1f} %"
-
-
-def _capped(shown: Sequence[Any], number: int, what: str) -> str:
-    """How many there are, and that a table holds some of them."""
-    what = what.removesuffix("s") if number == 1 else what
-    return f"<p>{number:,} {what}" + (f"; the first {len(shown):,} are listed" if len(shown) < number else "") + ".</p>"
-
-
-def _classes(report: RunReport) -> str:
-    """How many points are in each class of the classified files."""
-    counts = Counter[int]()
-    for (_, after), points in report.classes.items():
-        counts[after] += points
-    rows = [(class_name(one), points, _percent(points, report.points)) for one, points in sorted(counts.items())]
-    return (
-        table(("class", "points", "share"), rows) if rows else "<p>The points keep the classes of the input files.</p>"
-    )
-
-
-def _places(report: RunReport) -> str:
-    """Where a person should look, worst first."""
-    shown = report.places[:_MOST_PLACES]
-    if report.method is None:
-        return "<p>The ground was given by classes, so no places were looked for.</p>"
-    words = "The terrain may be wrong there, and the worst place comes first. "
-    words += "The chance is that of an error of more than half a metre."
-    rows = [
-        (f"{number}", f"{one['x']:.10g}", f"{one['y']:.10g}", f"{one['area']:,.0f}", f"{one['volume']:,.0f}")
-        + (f"{100 * one['chance']:.0f} %", one["reason"])
-        for number, one in enumerate(shown, 1)
-    ]
-    heading = ("place", "X", "Y", "area, m2", "expected error, m3", "chance", "reason")
-    return _capped(shown, len(report.places), "places") + (f"<p>{words}</p>{table(heading, rows)}" if rows else "")
-
-
-def _failures(reports: tuple[RunReport, TerrainReport]) -> str:
-    """Tiles and files that are missing, and why."""
-    rows = []
-    for report in reports[reports[0] is reports[1] :]:
-        rows += [(f"tile {one['tile']}", f"failed: {one['reason']}") for one in report.set_aside]
-        rows += [(one["file"], f"could not be read: {one['reason']}") for one in report.left_out]
-        rows += [(one["file"], f"was not written: {one['reason']}") for one in report.failed]
-    return table(("what", "why"), rows) if rows else "<p>None.</p>"
-
-
-def _tiles(report: RunReport, bounds: Bounds, metre: float) -> str:
-    """The parts in which the survey was worked on, within the bounds of all."""
-    rows, shown = [], report.table[:_MOST_TILES].tolist()
-    for number, (core, ground, points) in enumerate(shown):
-        x0, y0, x1, y1 = common(core, bounds)
-        box = [f"{value:.10g}" for value in (x0, x1, y0, y1)]
-        density = points / max(max(x1 - x0, 0) * max(y1 - y0, 0) * metre**2, 1e-9)
-        state = "failed" if ground == -1 else "done"
-        rows.append((f"{number}", *box, points, f"{density:.2f}", f"{100 * ground:.1f} %" if points else "", state))
-    heading = ("tile", "X from", "to", "Y from", "to", "points", "points per m2", "ground", "state")
-    return _capped(shown, report.tiles, "tiles") + table(heading, rows)
 
 
 def parameter_table(method: str, values: Mapping[str, Any]) -> str:

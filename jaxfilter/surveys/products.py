@@ -88,7 +88,7 @@ def products(
     >>> [file.rpartition("/")[2] for file in made.rasters.files]
     ['dtm.tif', 'hillshade.tif']
     """
-    from ..reports.survey_page import PAGE, write_survey_page
+    from .page import PAGE, write_survey_page  # late: it brings Matplotlib
 
     names, folder = LAYERS.keys() if only is None else list(only), place_of(out)
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
