@@ -41,6 +41,10 @@ NOT_RUN = {
         "docs/from_one_tile_to_a_country.md",
         "run = jf.RunOptions(workers=8",
     ): "docs/examples/tutorials/f_survey.py does it",
+    (
+        "docs/walkthrough.md",
+        "import geopandas",
+    ): "the tile is not in the repository; tests/test_verdicts.py has verdicts",
     ("docs/examples/tutorials/e_few_clicks.py", "clicks, kinds = [], []"): "somebody has to click",
 }
 """Page and beginning of a block, and why it is only compiled; of tutorials, which run when the site is built, code blocks."""
@@ -83,11 +87,13 @@ COMMANDS_NOT_RUN = {
         "docs/from_one_tile_to_a_country.md",
         "jaxfilter ground smrf survey/ classified/ --scheduler",
     ): "needs a cluster; tests/test_tiles_run.py starts one on this machine",
+    ("docs/walkthrough.md", "jaxfilter"): "the tile is not in the repository; other pages run these commands",
     ("docs/surveys.md", "jaxfilter info s3://"): "needs an object store; tests/test_remote.py has a simulated one",
 }
 """Page and beginning of a command of jaxfilter that is only parsed."""
 
 OTHERS = {
+    ".": "activates an environment",
     "pip": "installs",
     "python3": "installs",
     "pytest": "the tests; tests/test_docs.py runs them on the skeleton of a filter",

@@ -6,6 +6,7 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import run
 from las_files import las_of
 
 import jaxfilter as jf
@@ -121,3 +122,22 @@ def test_the_same_echo_in_several_files_counts_once(tmp_path, buffered, tile):
             for number, file in enumerate(sorted(out.glob("*.la[sz]"))):
                 kept = rows[number][keeper[rows[number]] == number] if drop else rows[number]
                 assert laspy.read(file).gps_time.tolist() == np.where(kept == 3, 2, kept).tolist()
+
+
+@pytest.mark.parametrize("tiles", [(), ("--tile", 40, "--wide-halos")], ids=["in one piece", "in tiles"])
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+@pytest.mark.parametrize("name", ["ground", "products"])
+def test_a_warning_of_several_files_comes_once_and_is_all_that_quiet_leaves(tmp_path, name, tiles):
+    xyz = np.random.default_rng(0).uniform(0, (90, 40, 0), (4000, 3))
+    xyz[:, 2] = 0.1 * xyz[:, 0]
+    total = np.arange(2000, dtype=np.uint8) % 2 + 1
+    numbers = {"return_number": np.ones(2000, np.uint8), "number_of_returns": total}
+    (tmp_path / "in").mkdir()
+    for side, rows in (("east", xyz[:, 0] > 45), ("west", xyz[:, 0] <= 45)):
+        part = {key: np.resize(values, rows.sum()) for key, values in numbers.items()}
+        cloud = jf.PointCloud.from_arrays(xyz[rows], crs="EPSG:25832", **part)
+        jf.write(tmp_path / "in" / f"{side}.laz", cloud, None)
+    done = run(name, tmp_path / "in", tmp_path / "out", "--workers", 1, "--quiet", *tiles)
+    assert done.exit_code == 0 and done.stdout == ""
+    assert done.stderr.count("warning: ") == done.stderr.count("\n") == 1
+    assert "east.laz and 1 other file: no point is the last echo" in done.stderr

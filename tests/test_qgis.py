@@ -181,7 +181,7 @@ def test_a_line_of_progress_of_the_command_is_understood(capsys):
     ),
     ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
     ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
-    ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
+    ("import sys; sys.exit('Error: No such option: --progress-every')", "in a new copy of it, run pip install ."),
 ])  # fmt: skip
 def test_an_error_is_that_of_the_command(code, words):
     with pytest.raises(command.CommandError) as error:
@@ -222,7 +222,7 @@ def test_the_command_is_found_by_its_setting_or_path_and_else_pip_is_named(tmp_p
     for setting in (program, program.parent, tmp_path / "environment"):
         assert command.find(f" {setting} ") == str(program)
     for setting in ("", tmp_path / "elsewhere"):
-        with pytest.raises(command.CommandError, match="pip install jaxfilter") as error:
+        with pytest.raises(command.CommandError, match=r"pip install \.") as error:
             command.find(str(setting))
         assert str(setting) in str(error.value)
     monkeypatch.setenv("PATH", str(program.parent))
@@ -407,7 +407,7 @@ def test_a_missing_command_is_told_in_qgis_with_the_line_of_pip(qgis, survey, tm
     code, _, said = run_algorithm(
         qgis, "ground", path=tmp_path / "nowhere", FOLDER=survey / "raw", OUTPUT=tmp_path / "out"
     )
-    assert code == 1 and "pip install jaxfilter" in said and "Traceback" not in said, said
+    assert code == 1 and "pip install ." in said and "Traceback" not in said, said
     assert "Settings > Options > Processing" in said and not (tmp_path / "out").exists()
 
 

@@ -28,8 +28,8 @@ from ..files.disk import check_suffix, new_file
 from ..methods.papers import citation
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
-from .html import table
 from .layers import map_layers, places_to_look_at
+from .parts import table
 from .places import as_result
 from .steps import Steps, steps_of
 

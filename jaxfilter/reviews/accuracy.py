@@ -25,8 +25,8 @@ from ..files.disk import Bounds, check_suffix, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las
-from ..reports.html import page_of, parameter_table, table
 from ..reports.page import PAGE_SUFFIXES
+from ..reports.parts import page_of, parameter_table, table
 from ..surveys.collection import Collection
 from ..surveys.collection import open as open_collection
 from ..surveys.options import RunOptions
@@ -324,11 +324,11 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
         ("places decided by people", verdicts or "none"),
     ]
     sections.append("<h2>How it was made</h2>" + table((), how))
+    for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
+        sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
     if isinstance(parameters := made.get("parameters"), dict):
         title = f"<h2>Parameters of the method {escape(str(made['method']))}</h2>"
         sections.append(title + parameter_table(made["method"], parameters))
-    for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
-        sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
     body = "".join(f"<section>{one}</section>" for one in sections)
     text = page_of(page.stem, "accuracy", f"Statement of accuracy · {made['date']}", body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):

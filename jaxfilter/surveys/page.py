@@ -1,38 +1,28 @@
-"""A page that shows the products of a survey to a client: maps with legends, links to the files, and tables."""
+"""The page that shows a survey and its products to a client."""
 
 from __future__ import annotations
 
-import base64
 import datetime
-import io
-import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from importlib.metadata import version
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..core.units import Units, vertical
+from ..core.units import vertical
 from ..core.version import __version__
 from ..files.classes import class_name
 from ..files.disk import Bounds, new_file
 from ..files.storage import Place
-from ..plots.maps import new_figure, shade
-from ..reports.html import page_of, parameter_table, table
-from ..terrain.layer import Layer
-
-if TYPE_CHECKING:
-    from .collection import Collection
-    from .model import Rasters, TerrainReport
-    from .report import RunReport
+from ..reports.parts import map_card, page_of, parameter_table, table
+from .collection import Collection, common
+from .model import Rasters, TerrainReport
+from .report import RunReport
 
 PAGE = "survey.html"
-_PIXELS = 900  # of the longer side of a picture
-_MOST_TILES, _MOST_PLACES, _MOST_LINES = 500, 50, 100_000
-"""Rows of the tables, and contour lines that are drawn."""
+_MOST_TILES, _MOST_PLACES = 500, 50  # rows of tables
 _NOT_STATED = "not stated"
 _INTERPOLATIONS = {
     "tin": "linear in triangles (TIN)",
@@ -56,7 +46,7 @@ def write_survey_page(
     """Write the page into the folder of ``rasters``. ``reports``: of the run that found the ground, and of the one that made the
     rasters, which may be the same; ``collection``: the inputs. Raises: OutputError."""
     found, today = reports[0], datetime.date.today().isoformat()
-    cards = "".join(_card(layer, rasters.places, collection.units) for layer in rasters.places)
+    cards = "".join(map_card(layer, rasters.places, collection.units) for layer in rasters.places)
     hint = "The colours leave out the lowest and the highest hundredth of the cells. Pale blue cells have no value."
     sections = {
         "The survey": table((), [*_survey_facts(rasters, reports, collection), ("date", today)]),
@@ -103,71 +93,13 @@ def _survey_facts(
     ]
 
 
-def _card(layer: Layer, places: Mapping[Layer, Place], units: Units) -> str:
-    """A file in words, with a picture where it lies on this disk."""
-    place, unit = places[layer], layer.UNITS.replace("units of Z", units.name.rpartition(" in ")[2])
-    picture, values = _draw(layer, places, unit) if isinstance(place, Path) else ("", "")
-    name, words = escape(place.name), escape(f"{layer.TITLE}, {unit}{values}")
-    return f'<div><a href="{name}"><b>{name}</b>{picture}</a><span>{words}</span></div>'
-
-
-def _draw(layer: Layer, places: Mapping[Layer, Place], unit: str) -> tuple[str, str]:
-    """An image with axes and a legend, and the range of the values in words. Lines lie over the relief of their model."""
-    lines, under, figure = layer.cells != layer, places.get(layer.cells), new_figure((5.0, 4.5))
-    ax, values, about = figure.add_subplot(), np.zeros((0, 0)), ""
-    if isinstance(under, Path):
-        values, extent, step = _read(under)
-        about = "about " * (step > 1)
-        relief = lines or layer.STYLE == "relief"
-        shown = shade(values[::-1], (extent[1] - extent[0]) / max(values.shape[-1], 1))[::-1] if relief else values
-        low, high = np.nanpercentile(shown, (1, 99)) if np.isfinite(shown).any() else (0.0, 1.0)
-        image = ax.imshow(shown, "gray" if relief else layer.STYLE, extent=extent, vmin=low, vmax=max(high, low + 1e-3))
-        if not relief:
-            figure.colorbar(image, ax=ax, label=unit, extend="both", shrink=0.8)
-    if lines:
-        values = _add_lines(ax, places[layer])
-    ax.set(aspect="equal", facecolor="#d8e6ee")
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.locator_params(nbins=4)
-    ax.tick_params(labelsize=7)
-    figure.savefig(png := io.BytesIO(), format="png", bbox_inches="tight")
-    known = f": {about}{np.nanmin(values):.5g} to {np.nanmax(values):.5g}" if np.isfinite(values).any() else ""
-    code = base64.b64encode(png.getvalue()).decode()
-    return f'<img alt="{escape(layer.TITLE)}" src="data:image/png;base64,{code}">', known
-
-
-def _read(raster: Path) -> tuple[np.ndarray, tuple[float, float, float, float], int]:
-    """f32[rows, columns] of one cell in ``step`` each way, from north, NaN without a value; left, right, bottom, top; step."""
-    import rasterio
-
-    with rasterio.open(raster) as file:
-        step = max(1, math.ceil(max(file.shape) / _PIXELS))
-        shape = tuple(math.ceil(side / step) for side in file.shape)
-        values = file.read(1, out_shape=shape, masked=True).astype(np.float32).filled(np.nan)
-        left, bottom, right, top = file.bounds
-    return values, (left, right, bottom, top), step
-
-
-def _add_lines(ax: Any, place: Place) -> np.ndarray:
-    """Draw lines of a GeoPackage, but for very many; their elevations f64[k]."""
-    import geopandas
-    import shapely
-    from matplotlib.collections import LineCollection
-
-    table = geopandas.read_file(place)
-    if len(table) <= _MOST_LINES:
-        paths = [shapely.get_coordinates(line) for line in table.geometry]
-        ax.add_collection(LineCollection(paths, colors="saddlebrown", linewidths=0.4))
-        ax.autoscale_view()
-    return table["elevation"].to_numpy(np.float64)
-
-
 def _percent(part: float, whole: float) -> str:
     return f"{100 * part / max(whole, 1):.1f} %"
 
 
 def _capped(shown: Sequence[Any], number: int, what: str) -> str:
     """How many there are, and that a table holds some of them."""
+    what = what.removesuffix("s") if number == 1 else what
     return f"<p>{number:,} {what}" + (f"; the first {len(shown):,} are listed" if len(shown) < number else "") + ".</p>"
 
 
@@ -212,8 +144,7 @@ def _tiles(report: RunReport, bounds: Bounds, metre: float) -> str:
     """The parts in which the survey was worked on, within the bounds of all."""
     rows, shown = [], report.table[:_MOST_TILES].tolist()
     for number, (core, ground, points) in enumerate(shown):
-        x0, y0 = np.maximum(core[:2], bounds[:2]).tolist()
-        x1, y1 = np.minimum(core[2:], bounds[2:]).tolist()
+        x0, y0, x1, y1 = common(core, bounds)
         box = [f"{value:.10g}" for value in (x0, x1, y0, y1)]
         density = points / max(max(x1 - x0, 0) * max(y1 - y0, 0) * metre**2, 1e-9)
         state = "failed" if ground == -1 else "done"

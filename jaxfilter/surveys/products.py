@@ -91,7 +91,7 @@ def products(
     >>> [file.rpartition("/")[2] for file in made.rasters.files]
     ['dtm.tif', 'hillshade.tif']
     """
-    from .page import PAGE, write_survey_page
+    from .page import PAGE, write_survey_page  # late: it brings Matplotlib
 
     asked, folder = list(LAYERS if only is None else only), place_of(out)
     given = {layer.NAME: layer for layer in asked if isinstance(layer, Layer)}

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import IO, Any
 
 NAME = "jaxfilter"
-INSTALL = "Install it into Python 3.11 or newer (it need not be that of QGIS):\n\n    pip install jaxfilter\n\n"
+INSTALL = "Run this in a copy of its repository, with any Python from version 3.11 on:\n\n    pip install .\n\n"
 PLACE = "If it is not found then, set its path in Settings > Options > Processing > Providers > jaxfilter."
-OTHER = "The installed jaxfilter is of another version than this plugin: pip install --upgrade jaxfilter"
+OTHER = "The installed jaxfilter is of another version than this plugin: in a new copy of it, run pip install ."
 OF_QGIS = ("PYTHONHOME", "PYTHONPATH", "GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA")
 """Variables that QGIS sets for its own Python, GDAL and PROJ; the command has other versions of these."""
 
