@@ -39,14 +39,14 @@ RULE = "all rules but "
 WHAT = {
     "clusters": ("airborne", "bars false echoes in clusters"),
     "strays": ("airborne", "bars lone ones on slopes, under plants"),
-    "pits": ("drone, photographs", "bars wrong matches in small pits"),
-    "voids": ("airborne, drone", "lowers surfaces across voids: roofs at water stand out"),
-    "halls": ("all", "joins segments of roofs of several levels"),
-    "steep": ("all", "keeps bare cliffs, which openings cut, and overhangs"),
+    "pits": ("drone, photographs", "bars wrong matches in pits"),
+    "voids": ("airborne, drone", "makes roofs at water stand out"),
+    "halls": ("all", "joins roofs of several levels"),
+    "steep": ("all", "keeps cliffs, which openings cut, and overhangs"),
     "embankments": ("airborne, drone", "keeps dikes, which openings cut"),
     "crossings": ("airborne, drone", "finds water and decks, which look like land"),
     "plants": ("airborne, drone", "drops seeds and vertices on plants"),
-    "ramps": ("photographs, cars", "drops seeds beside objects and voids, where walls are ramps"),
+    "ramps": ("photographs, cars", "drops seeds on ramps of walls"),
 }
 """By rule the clouds that it is for, and what it does, and why."""
 STEPS: dict[str, dict[str, Any]] = {
@@ -60,11 +60,12 @@ STEPS: dict[str, dict[str, Any]] = {
 }
 """What is left out of the core, by the number of the step in the class. All rules act."""
 VARIANTS = [ALL, CORE, *(RULE + name for name in RULES), *STEPS]
-SETS = ("samples", "tiles", "hard tiles")
+SETS = ("samples", "tiles", "hard tiles", "low outliers")
 """Kinds of clouds with a table of their own; the others are scenes."""
 WANTED: dict[str, dict[str, Any]] = {
     "tiles": {}, "hard tiles": {}, "scenes": {"density": 2}, "sensors": {"seed": 101}, "halls": {"density": 2, "seed": 100},
-    "dikes": {"density": 2}, "water": {"density": 2}, "sparse forests": {"seed": 101},
+    "dikes": {"density": 2}, "water": {"density": 2}, "sparse forests": {"seed": 101}, "photographs": {"seed": 21},
+    "low outliers": {"seed": 1}, "forests with low outliers": {"seed": 301},
 }  # fmt: skip
 """By kind of cloud which of :func:`experiments.scenes.clouds.every` are taken."""
 AGAIN = 1.3

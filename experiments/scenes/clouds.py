@@ -124,7 +124,7 @@ def every(folder: Path) -> Iterator[Cloud]:
     yield from _each("sparse forests anew", sparse, SOME, **shares, seed=(201, 202))
     for name, seed in itertools.product(LOW_TILES, (1, 2, 3)):
         for path in (folder / "tiles").glob(f"{name}.la[sz]"):
-            yield Cloud("low outliers", f"{name}, seed {seed}", partial(lowered, path, seed), [])
+            yield Cloud("low outliers", f"{name}, seed {seed}", partial(lowered, path, seed), [], facts={"seed": seed})
     yield from _each(
         "forests with low outliers", lowered_forest, [], slope=SLOPES, density=(1.0, 4.0), seed=(301, 302, 303)
     )
