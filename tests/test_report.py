@@ -168,7 +168,7 @@ def test_places_to_look_at_are_where_errors_are(cloud, result, tmp_path):
     wrong[corner] = ~cloud.reference[corner]
     found = facts_of(jf.report(cloud, wrong, tmp_path / "a.html", reference=cloud))["places"]
     assert found[0]["what"] == "errors" and found[0]["x"] > 60 and found[0]["y"] > 50
-    listed, table = facts_of(jf.report(cloud, result.ground, tmp_path / "b.html"))["places"], jf.review(cloud, result)
+    listed, table = facts_of(jf.report(cloud, result, tmp_path / "b.html"))["places"], jf.review(cloud, result)
     assert [one["what"] for one in listed] == table["reason"].tolist()[:12]
     assert [one["x"] for one in listed] == pytest.approx((table["x"] - cloud.origin[0]).tolist()[:12])
 

@@ -233,7 +233,8 @@ class OST(Filter):
         in_object, drop, slope = look_up(points.xyz, scene.cells, *look)
         if points.kept is None:  # a sweep asks for no more than what is ground
             tolerance = self.tolerated(scene.spacing)
-            mixed = mixture(points.xyz, scene.cells, labels, scene.spacing, tolerance)
+            counted = slice(None) if crowd is None else crowd.rows
+            mixed = mixture(points.xyz, scene.cells, labels, counted, scene.spacing, tolerance)
             labels.doubt = doubts(labels, residual, drop, slope, mixed, tolerance)
             if SPARSEST * scene.spacing**2 > 1:
                 labels.info["doubt"] = SPARSE

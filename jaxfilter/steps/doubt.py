@@ -60,14 +60,16 @@ def doubts(
     return found
 
 
-def mixture(xyz: np.ndarray, cells: Cells, labels: Labels, spacing: float, tolerance: float) -> np.ndarray:
+def mixture(
+    xyz: np.ndarray, cells: Cells, labels: Labels, rows: np.ndarray | slice, spacing: float, tolerance: float
+) -> np.ndarray:
     """f32[m]: how mixed the labels around points f32[m, 3] are, of those that are about as high as the ground: 0 where all are
-    the same, 1 where half of them are ground. ``spacing`` and ``tolerance``: metres."""
-    at, shape = cells.grid.flat(xyz), cells.grid.shape
+    the same, 1 where half of them are ground. ``rows``: of the points that are counted; ``spacing`` and ``tolerance``: metres."""
+    at, shape = cells.grid.flat(xyz[rows]), cells.grid.shape
     assert labels.height is not None
-    near = np.abs(labels.height) < _LEVEL * max(tolerance, 0.01)
-    wide = 2 * round(_AROUND * max(1.0, spacing) / cells.grid.cell / 2) + 1
-    count, ground = (np.bincount(at[rows], minlength=shape[0] * shape[1]) for rows in (near, near & labels.ground))
+    near, of_ground = np.abs(labels.height[rows]) < _LEVEL * max(tolerance, 0.01), labels.ground[rows]
+    wide = 2 * min(round(_AROUND * max(1.0, spacing) / cells.grid.cell / 2), max(shape)) + 1
+    count, ground = (np.bincount(at[which], minlength=shape[0] * shape[1]) for which in (near, near & of_ground))
     for axis in range(2):  # sums of whole numbers are exact, so that tiles agree
         count, ground = (
             correlate1d(table.reshape(shape), np.ones(wide, int), axis, mode="constant") for table in (count, ground)

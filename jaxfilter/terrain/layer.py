@@ -161,6 +161,8 @@ class Site:
 
     def part_of(self, rule: EdgeRule, own: RasterGrid, wide: RasterGrid) -> Part:
         """What the points say of the edge, of some cells."""
+        if not self.interpolation.ends:
+            return Part(own, wide, own, np.zeros((0, 0), np.uint8), 0, None)
         around = rule.around(own)
         near = rule.near(self.cloud, self.ground, around, self.workers)
         count = int(count_in(self.cloud, self.ground, own).sum())

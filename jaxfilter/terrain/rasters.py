@@ -268,7 +268,7 @@ class Voids(Layer):
     (True, False)
     """
 
-    NAME, TITLE, UNITS, KIND, NODATA, SURFACE = "voids", "void", "0 or 1", "uint8", 255, False
+    NAME, TITLE, UNITS, STYLE, KIND, NODATA, SURFACE = "voids", "void", "0 or 1", "gray_r", "uint8", 255, False
     distance: float = setting("How far the nearest ground point may be.", 5.0, metres=True)
 
     def __post_init__(self) -> None:
