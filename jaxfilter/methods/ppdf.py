@@ -164,9 +164,13 @@ class PPDF(Filter):
         """The first cells of the planes, and whole ones of the others."""
         return period(self.cell, self.canopy_cell, self.reference_cell or self.cell)
 
+    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
+        """bool[m]: distances from local planes, f32[m], metres, up to a limit, on either side."""
+        return np.abs(distance) <= limit
+
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """bool[m], references and points up to the limit from their local planes, f32[m], metres, on either side."""
-        return reference | (np.abs(distance) <= self.max_distance)
+        """bool[m]: references, and points that are near to their local planes."""
+        return reference | self._within(distance, self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -203,7 +207,9 @@ class PPDF(Filter):
         for values in over:  # a plane of the cloud is none of the ground: without references near there is none
             values[may_be & ~reference] = np.nan
         around = self._around(xyz, np.flatnonzero(may_be & ~reference), side)
-        growing = GroundReferences(around, reference, over, lambda d: np.abs(d) <= self.reference_distance, workers)
+        growing = GroundReferences(
+            around, reference, over, lambda distance: self._within(distance, self.reference_distance), workers
+        )
         status = grow(growing, self.max_rounds, lambda share, step: progress(0.3 + 0.4 * share, step), trace)
         reference = growing.ground
 
