@@ -73,8 +73,13 @@ def watch_compilations() -> None:
     jax.monitoring.register_event_duration_secs_listener(listen)
 
 
+def count_compilation(seconds: float) -> None:
+    """Count what another compiler than that of JAX has compiled, or read from its cache."""
+    _compiled.append(seconds)
+
+
 def compilations() -> tuple[int, float]:
-    """Number of backend compilations (or cache reads) since :func:`watch_compilations`, and seconds spent on them."""
+    """Number of compilations (or cache reads), those of JAX since :func:`watch_compilations`, and seconds spent on them."""
     return len(_compiled), sum(_compiled)
 
 

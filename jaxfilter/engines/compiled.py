@@ -7,6 +7,7 @@ import os
 import pickle
 import sys
 import threading
+import time
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import Any
 import numba
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-from ..core.compilation import cache_folder, cache_trouble, private_folder
+from ..core.compilation import cache_folder, cache_trouble, count_compilation, private_folder
 
 
 def compiled(
@@ -53,8 +55,22 @@ class _Interruptible(CPUDispatcher):  # type: ignore[misc]
     Where compiled code calls it with constants it is not compiled anew for each.
     """
 
+    depth = 0
+    """Compilations that run now, one within the other."""
+
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return super().get_call_template([numba.types.unliteral(one) for one in args], kws)
+
+    def compile(self, sig: Any) -> Any:
+        """As by Numba, and counted. What it compiles on the way is part of it, and waiting for another thread is none."""
+        with global_compiler_lock:
+            start, _Interruptible.depth = time.perf_counter(), _Interruptible.depth + 1
+            try:
+                return super().compile(sig)
+            finally:
+                _Interruptible.depth -= 1
+                if _Interruptible.depth == 0:
+                    count_compilation(time.perf_counter() - start)
 
     def __call__(self, *arguments: Any) -> Any:
         try:
