@@ -12,7 +12,10 @@ from commands import facts, run
 
 import jaxfilter as jf
 from jaxfilter.core.errors import InputError, OutputError, ParameterError
-from jaxfilter.steps.doubt import FEATURES, WEIGHTS, probability
+from jaxfilter.core.filter import Labels
+from jaxfilter.core.points import canonical_points
+from jaxfilter.steps.doubt import FEATURES, WEIGHTS, mixture, probability
+from jaxfilter.steps.surfaces import lowest_cells
 
 EPSG = 25832
 
@@ -152,3 +155,18 @@ def test_the_map_shows_the_mean_of_each_cell():
     ax = jf.plots.doubt_map(cloud, dataclasses.replace(result, ground=np.ones(len(cloud), bool)))
     drawn = np.ma.compressed(ax.images[-1].get_array())
     assert np.sort(drawn) == pytest.approx(np.sort(100 * doubt.ravel()), abs=1e-4)
+
+
+def test_labels_are_mixed_where_points_around_of_the_level_of_the_ground_have_both(rng):
+    """Counted point by point, in the square of cells around each."""
+    cloud = jf.PointCloud.from_arrays(np.column_stack([rng.uniform(0, 40, (800, 2)), rng.uniform(0, 5, 800)]))
+    points = canonical_points(cloud)
+    ground, height = rng.random(len(points)) < points.xyz[:, 0] / 40, rng.normal(0, 0.4, len(points))
+    labels = Labels(ground, height=height.astype(np.float32))
+    cells = lowest_cells(points, 1.0, "cell", corner=(0.0, 0.0))
+    found = mixture(points.xyz, cells, labels, slice(None), spacing=1.0, tolerance=0.2)
+    row, column = np.divmod(cells.grid.flat(points.xyz), cells.grid.shape[1])
+    for one in rng.integers(0, len(points), 60):
+        near = (abs(row - row[one]) <= 3) & (abs(column - column[one]) <= 3) & (abs(labels.height) < 0.6)
+        share = (ground[near].sum() + 0.5) / (near.sum() + 1)
+        assert found[one] == pytest.approx(1 - abs(2 * share - 1), abs=1e-6)
