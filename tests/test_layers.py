@@ -525,6 +525,19 @@ def test_one_file_may_go_to_standard_output(survey, done, tmp_path):
         assert wrong.exit_code == 2 and message in wrong.stderr and not wrong.stdout, wrong.output
 
 
+def test_a_run_that_goes_on_shows_on_its_page_what_the_first_had_found(survey, tmp_path):
+    """The files are classified, and the rasters are missing."""
+    words = (survey / "one.laz", tmp_path / "out", "--filter", "pmf", "--only", "count", "--units", "m")
+    completed("products", *words)
+    page = tmp_path / "out" / "survey.html"
+    first = page.read_text()
+    page.unlink()
+    completed("products", *words, "--resume")
+    for part in ("ground points", "the method PMF", "2 ground"):
+        row = rf'<th scope="row">{part}</th>.*?</tr>' if part != "the method PMF" else part
+        assert re.search(row, first)[0] == re.search(row, page.read_text())[0]
+
+
 @pytest.mark.parametrize("how, error, words", [
     ({"only": ["dem"]}, jf.ParameterError, "choose from dtm, dsm"),
     ({"only": []}, jf.ParameterError, "only='nothing'"),

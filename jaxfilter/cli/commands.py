@@ -17,7 +17,18 @@ import click
 from ..core.process import collect_seldom
 from ..core.version import __version__
 from ..terrain.layers import LAYERS
-from .options import BREAKLINES, BY_DATA, READING, RUN_OPTIONS, WRITTEN, check_shapes, open_files, take, take_classes
+from .options import (
+    BREAKLINES,
+    BY_DATA,
+    READING,
+    RUN_OPTIONS,
+    WRITTEN,
+    check_shapes,
+    files_of,
+    open_files,
+    take,
+    take_classes,
+)
 from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
 from .session import BadUsage, Session, logger, stoppable
 from .values import CLASS, OUTPUT, on_command_line, option
@@ -236,9 +247,9 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
 def evaluate(session: Session, labelled: Path, reference: Path, **options: Any) -> Answer:
     """Score ground labels against a reference.
 
-    OUT and REFERENCE are LAS, LAZ or labelled text files of the same points, in any order. Or both are folders: then files of
-    the same name are compared, and the scores count all their points. Points of class 0 in REFERENCE were never classified and
-    do not count.
+    OUT and REFERENCE are LAS, LAZ or labelled text files of the same points, in any order. Or both are folders of LAS and LAZ:
+    then files of the same name are compared, and the scores count all their points. Points of class 0 in REFERENCE were never
+    classified and do not count.
     """
     from ..scoring import Scores
 
@@ -257,23 +268,16 @@ def evaluate(session: Session, labelled: Path, reference: Path, **options: Any) 
 
 
 def _pairs(labelled: Path, reference: Path) -> list[tuple[Path, Path]]:
-    """The files that are compared: two files, or those of two folders that have one name but for the suffix. Raises BadUsage."""
+    """The files that are compared: two files, or those of two folders that have one name but for the suffix. Raises: BadUsage,
+    InputError."""
     if labelled.is_dir() != reference.is_dir():
         raise BadUsage(f"{labelled} and {reference}: one is a folder and one is a file; name two files or two folders")
     if labelled.is_file():
         return [(labelled, reference)]
-    from ..files.text import TEXT_SUFFIXES
-    from ..files.writing import LAS_SUFFIXES
-
-    ours, theirs = (
-        {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in (*LAS_SUFFIXES, *TEXT_SUFFIXES)}
-        for folder in (labelled, reference)
-    )
+    ours, theirs = ({path.stem: path for path in files_of(folder)} for folder in (labelled, reference))
     if alone := sorted(ours.keys() ^ theirs.keys()):
         here, there = (labelled, reference) if alone[0] in ours else (reference, labelled)
         raise BadUsage(f"{here} holds {alone[0]} and {there} does not: both must hold the same files")
-    if not ours:
-        raise BadUsage(f"{labelled}: holds no .las, .laz or text file")
     return [(path, theirs[stem]) for stem, path in ours.items()]
 
 

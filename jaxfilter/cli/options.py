@@ -282,6 +282,19 @@ class Files:
             return act(self.collection, *arguments, reading=self.reading, run=self.run, **options)
 
 
+def files_of(source: Path) -> list[Path]:
+    """The file, or the LAS and LAZ files of a folder. Raises: InputError if there are none, or one cannot be read."""
+    from ..core.errors import InputError
+    from ..surveys.collection import open as open_collection
+
+    if source.is_file():
+        return [source]
+    collection = open_collection(str(source))
+    for _, reason in collection.unreadable:
+        raise InputError(reason)
+    return list(map(Path, collection.uris))
+
+
 def open_survey(session: Session, names: Sequence[str], reading: Reading, bare: bool = False) -> Collection:
     """A collection of what is named, in a step; ``bare``: the first name might be meant as a method. Raises: BadUsage,
     JaxfilterError."""

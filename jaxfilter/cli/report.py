@@ -11,7 +11,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.reading import Reading
 from .commands import command
-from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
+from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, files_of, take, take_recipe
 from .output import Answer, times
 from .session import BadUsage, Session
 from .values import CLASS, COUNT, OUTPUT, option
@@ -49,7 +49,6 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
     ground is what --filter finds, with a slider that labels the points anew, or the points of class 2 of IN, or of label 0 in
     text. IN is not changed. OUT may be - for standard output.
     """
-    from ..files.writing import LAS_SUFFIXES
     from ..reports.page import PAGE_SUFFIXES, ReportOptions
     from ..reports.page import report as make_page
 
@@ -64,13 +63,7 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
         raise BadUsage("--reference own: the labels of IN are what is shown; name a file, or pass --filter METHOD")
     if reference not in (None, OWN) and not Path(str(reference)).is_file():
         raise BadUsage(f"--reference {reference}: there is no such file; the labels of IN are called own")
-    files = (
-        sorted(path for path in source.iterdir() if path.suffix.lower() in LAS_SUFFIXES)
-        if source.is_dir()
-        else [source]
-    )
-    if not files:
-        raise BadUsage(f"{source}: holds no .las or .laz file")
+    files = files_of(source)
     with session.reading(*files):
         cloud = _joined(files, how, session)
         truth = None if reference is None else _reference(cloud, source, reference, how)

@@ -97,9 +97,8 @@ class ReviewCells(NamedTuple):
         cls, cloud: PointCloud, result: FilterResult, every: np.ndarray, shape: tuple[int, int]
     ) -> ReviewCells:
         """With at least one candidate. ``every``: i64[n], the cell of each point, of ``shape``."""
-        rows = np.arange(len(cloud)) if (all_count := bool(cloud.candidate.all())) else np.flatnonzero(cloud.candidate)
-        part = slice(None) if all_count else rows
-        at, z, ground = every[part], cloud.xyz[part, 2], result.ground[part]
+        rows = np.flatnonzero(cloud.candidate)
+        at, z, ground = every[rows], cloud.xyz[rows, 2], result.ground[rows]
         height, is_ground, noise = (np.full(shape, none) for none in (np.inf, False, False))
         low = np.full(shape, np.inf, z.dtype)
         np.minimum.at(low.reshape(-1), at, z)
@@ -115,8 +114,8 @@ class ReviewCells(NamedTuple):
         def sums(values: np.ndarray | None = None) -> np.ndarray:
             return np.bincount(at, values, low.size).reshape(shape)
 
-        points, grounds = sums().astype(np.float64), np.bincount(at[ground], minlength=low.size).reshape(shape) * 1.0
-        doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[part]))
+        points, grounds = sums().astype(np.float64), sums(ground)
+        doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[rows]))
         near = tuple(scipy.ndimage.distance_transform_edt(np.isinf(low), return_distances=False, return_indices=True))
         return cls(low[near].astype(np.float64), height[near], is_ground, points, grounds, doubt, noise)
 

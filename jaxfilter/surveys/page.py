@@ -68,12 +68,11 @@ def _survey_facts(
     rasters: Rasters, reports: tuple[RunReport, TerrainReport], collection: Collection
 ) -> list[tuple[str, Any]]:
     """Names and values: where the survey lies, and how its products were made."""
-    (found, made), crs = reports, collection.crs
-    name = (
-        _NOT_STATED
-        if crs is None
-        else " ".join((crs.name, f"({':'.join(code)})" if (code := crs.to_authority()) else ""))
-    )
+    (found, made), crs, name = reports, collection.crs, _NOT_STATED
+    if crs is not None:
+        code = crs.to_authority()
+        name = f"{crs.name} ({':'.join(code)})" if code else crs.name
+    side = f"{made.transform[0]:g} x {made.transform[0]:g}"
     x0, y0, x1, y1 = made.bounds
     return [
         ("coordinate reference system", name),
@@ -85,10 +84,7 @@ def _survey_facts(
         ("ground points", f"{found.ground:,} ({_percent(found.ground, found.points)})"),
         ("ground found by", f"the method {found.method}" if found.method else "the classes of the input files"),
         ("interpolation between ground points", _INTERPOLATIONS[rasters.interpolation.method]),
-        (
-            "rasters",
-            f"{made.rows:,} rows and {made.columns:,} columns of cells of {made.transform[0]:g} x {made.transform[0]:g}",
-        ),
+        ("rasters", f"{made.rows:,} rows and {made.columns:,} columns of cells of {side}"),
         ("software", f"jaxfilter {__version__}, JAX {version('jax')}, NumPy {np.__version__}"),
     ]
 
@@ -133,7 +129,7 @@ def _places(report: RunReport) -> str:
 def _failures(reports: tuple[RunReport, TerrainReport]) -> str:
     """Tiles and files that are missing, and why."""
     rows = []
-    for report in reports[reports[0] is reports[1] :]:
+    for report in reports[:1] if reports[0] is reports[1] else reports:
         rows += [(f"tile {one['tile']}", f"failed: {one['reason']}") for one in report.set_aside]
         rows += [(one["file"], f"could not be read: {one['reason']}") for one in report.left_out]
         rows += [(one["file"], f"was not written: {one['reason']}") for one in report.failed]

@@ -21,18 +21,20 @@ class StraysRule(OstRule):
 
     SENSORS: ClassVar[tuple[str, ...]] = (AIRBORNE,)
     radius: float = 15.0
-    """Metres around a point in which others count: farther away terrain leaves its trend. The cells whose lowest points make the
-    trend have sides of this, and of four spacings at least."""
+    """Metres around a point in which others count, and along the sides of the cells whose lowest points make the trend: farther
+    away terrain leaves it."""
     depth: float = 1.5
     """Metres: others that are lower than so much above the point are as low."""
     share: float = 0.002
-    """So many of the points in a disk of this radius are few. False echoes are one of a thousand, or fewer."""
+    """So many of the points in a disk of this radius are few. False echoes are one of a thousand, or fewer. Where the disk holds
+    less than 1 / ``share`` points, none is barred."""
 
     def bar(self, scene: OstScene) -> None:
-        points, side = scene.points, max(self.radius, 4 * scene.spacing)
-        held = math.pi * (self.radius / scene.spacing) ** 2
+        few = int(self.share * math.pi * (self.radius / scene.spacing) ** 2)
+        if few == 0:
+            return
         rows, low = np.flatnonzero(~scene.low), scene.low.copy()
-        xyz = points.xyz[rows]
-        xyz[:, 2] -= low_trend(xyz, *points.lattice_corner(side), side)
-        low[rows] = lowest_few(xyz, self.radius, self.depth, min(scene.ost.low_points, int(self.share * held)))
+        xyz = scene.points.xyz[rows]
+        xyz[:, 2] -= low_trend(xyz, *scene.points.lattice_corner(self.radius), self.radius)
+        low[rows] = lowest_few(xyz, self.radius, self.depth, min(scene.ost.low_points, few))
         scene.low = low
