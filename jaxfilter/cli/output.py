@@ -123,7 +123,9 @@ def answer_of(files: Files, report: RunReport, text: str) -> Answer:
     tell(files.session, report)
     text = f"{files.output} {_COMPLETE}" if report.was_complete else text
     if lost := list(dict.fromkeys(one["file"] for one in (*report.failed, *report.left_out))):
-        text += f"\n{count(len(lost), 'file')} not read, so that there is nothing where they lie: {', '.join(lost)}"
+        text += (
+            f"\n{count(len(lost), 'file')} could not be read, and outputs are empty where they lie: {', '.join(lost)}"
+        )
     return Answer(run_facts(files.session, report, files), text, complete=report.complete)
 
 
