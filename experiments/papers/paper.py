@@ -37,7 +37,7 @@ def arguments(name: str, description: str | None, given: Sequence[str] | None = 
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and isprs_sites/ [JAXFILTER_DATA]")
     parser.add_argument(
-        "--out", type=Path, default=HERE / "results" / name, help="folder for the results [%(default)s]"
+        "--out", type=Path, default=HERE.parent / "out" / "papers" / name, help="folder for the results [%(default)s]"
     )
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all of the paper]"
