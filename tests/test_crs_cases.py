@@ -181,6 +181,17 @@ def test_heights_that_are_stated_for_files_without_them_reach_all_outputs(tmp_pa
     assert sum(record.user_id == "LASF_Projection" for record in records) == 1
 
 
+def test_heights_that_an_extended_record_does_not_take_are_not_lost_in_silence(tmp_path):
+    record = (2112, pyproj.CRS(25832).to_wkt().encode() + b"\0")
+    path = file_with(tmp_path / "in.las", evlrs=[record])
+    cloud = jf.read(path, crs="EPSG:25832+7837")
+    with pytest.warns(jf.JaxfilterWarning, match="out.las: the heights of its CRS are not written.*extended record"):
+        jf.write(tmp_path / "out.las", cloud, jf.PMF()(cloud))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jf.write(tmp_path / "flat.las", flat := jf.read(path), jf.PMF()(flat))
+
+
 NAVD, NGVD = "EPSG:26915+5703", "EPSG:26915+7968"
 PLAIN_NGVD = VERT.format("NGVD29", "National_Geodetic_Vertical_Datum_1929", 2005)
 FLAT = pyproj.CRS(26915).to_wkt("WKT1_GDAL")

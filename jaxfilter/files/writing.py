@@ -243,7 +243,8 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     compressed = path.suffix.lower() == ".laz" and not copc.is_copc(path)
     if header.is_copc and not copc.is_copc(path):
         warn(f"{path}: the input is COPC, the output is plain {'LAZ' if compressed else 'LAS'}, without an octree")
-    writer = Writer(file, header, compressed, added, None if las is None else _crs_record(path, header, cloud))
+    crs_record = None if las is None else _crs_record(path, header, cloud, cast(BinaryIO, opened))
+    writer = Writer(file, header, compressed, added, crs_record)
     packed_waves = number in (9, 10) and (compressed or header.compressed)
     channels, done = set(), 0
     for points in chunks:
@@ -278,18 +279,22 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
     return ticks
 
 
-def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
-    """Number and data of the record that states the CRS of a cloud whose file states none, or no heights: WKT where LAS knows
-    it, and else the EPSG codes as GeoTIFF keys."""
-    crs, stated = (
-        cloud.crs,
-        {one.key[1]: header.head[one.payload : one.end] for one in header.vlrs if one.key in CRS_RECORDS},
-    )
-    if stated or any(one.key in CRS_RECORDS for one in header.evlrs):
+def _crs_record(path: Place, header: Header, cloud: PointCloud, opened: BinaryIO) -> tuple[int, bytes] | None:
+    """Number and data of the record that states the CRS of a cloud whose file, ``opened``, states none, or no heights: WKT where
+    LAS knows it, and else the EPSG codes as GeoTIFF keys."""
+    crs, stated, here = cloud.crs, {}, opened.tell()
+    for record in [one for one in header.vlrs + header.evlrs if one.key in CRS_RECORDS]:
+        opened.seek(record.payload)
+        stated[record.key[1]] = opened.read(record.end - record.payload)
+    opened.seek(here)
+    if stated:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # reading has said it
-            same = vertical(crs) is None or vertical(reference_of(stated, str(path)).crs) is not None
-        if same or not stated:
+            if vertical(crs) is None or vertical(reference_of(stated, str(path)).crs) is not None:
+                return None
+        if any(one.key in CRS_RECORDS for one in header.evlrs):
+            without = "the heights of its CRS are not written, since the input has its CRS in an extended record"
+            warn(f"{path}: {without}: give the CRS again when this file is read")
             return None
     if (crs := for_outputs(crs)) is None or (stated and vertical(crs) is None):
         return None
