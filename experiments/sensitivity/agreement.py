@@ -96,8 +96,7 @@ def thresholds(rng: np.random.Generator, base: jf.Filter) -> list[dict[str, Any]
     if rng.random() < 1 / 3:
         ranges = {name: around(field) for name, field in traced.items() if around(field)} | ranges
     count = SLOW.get(type(base).__name__.lower(), GROUP)
-    units = [{name: (one, rng.random()) for name, one in ranges.items()} for _ in range(count)]
-    return [{name: (one.at if one.scale == "whole" else one.value)(u) for name, (one, u) in x.items()} for x in units]
+    return [{name: one.at(rng.random()) for name, one in ranges.items()} for _ in range(count)]
 
 
 def compared(sets: list[jf.Filter], cloud: jf.PointCloud) -> tuple[list[int], int]:
