@@ -45,6 +45,10 @@ NOT_RUN = {
         "docs/walkthrough.md",
         "import geopandas",
     ): "the tile is not in the repository; tests/test_verdicts.py has verdicts",
+    **{
+        ("docs/benchmarks.md", begin): "tests/test_datasets.py runs it on generated folders of these layouts"
+        for begin in ("opengf =", "dales =", "made_up =", "test =")
+    },
     ("docs/examples/tutorials/e_few_clicks.py", "clicks, kinds = [], []"): "somebody has to click",
 }
 """Page and beginning of a block, and why it is only compiled; of tutorials, which run when the site is built, code blocks."""

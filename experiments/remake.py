@@ -4,7 +4,9 @@
 
 ``pages.toml`` lists the pages. A page is stale if the labels of its methods have changed, if its command has, or if it was
 never made. The cheapest page is made first. Pages run side by side, but those that measure time run alone. A page that is
-current is not made again, so that a run may be stopped and repeated; most scripts keep rows, too. Output goes to ``out``.
+current is not made again, so that a run may be stopped and repeated; most scripts keep rows, too. What a script prints goes to
+``out``. Scripts write into a folder ``out`` of their own unless ``--out`` says where: ``remake.py`` adds the folder of the page,
+and does not count ``--out`` when it compares commands.
 
 Figures in the README, the documentation and the READMEs of experiments stand between two comments:
 
@@ -119,7 +121,7 @@ def stale(name: str, page: Page) -> str:
         return "never made"
     if page.by_hand:
         return ""
-    if own.command != f"python {page.command}":
+    if not _same(own.command, page):
         return "of another command"
     known = (*jf.FILTERS, SCENES)
     if changed := [name for name, was in own.labels.items() if name not in known or counts(name) != was]:
@@ -131,7 +133,13 @@ def stale(name: str, page: Page) -> str:
 def seconds(name: str, page: Page) -> float:
     """What a page took, or what it is expected to take."""
     own = made(HERE / name)
-    return own.seconds if own and own.command == f"python {page.command}" else 60 * page.minutes
+    return own.seconds if own and _same(own.command, page) else 60 * page.minutes
+
+
+def _same(command: str, page: Page) -> bool:
+    """Whether a command is that of the page, wherever it writes to."""
+    one, other = (re.sub(r" --out \S+", "", text) for text in (command, f"python {page.command}"))
+    return one == other
 
 
 def table() -> str:
@@ -211,6 +219,7 @@ def make(name: str, page: Page) -> None:
     log.parent.mkdir(exist_ok=True)
     with open(log, "w") as file:
         line = [sys.executable, "-u", *shlex.split(page.command)]
+        line += [] if "--out" in line else ["--out", (HERE / name).parent.relative_to(HERE.parent).as_posix()]
         code = subprocess.run(line, cwd=HERE.parent, stdout=file, stderr=subprocess.STDOUT, check=False).returncode
     end = f", it is stale, {why}: see {log}" if (why := stale(name, page)) else ""
     print(f"{name}: {_long(time.time() - start)}, exit code {code}{end}", flush=True)

@@ -7,6 +7,7 @@ import itertools
 import math
 import warnings
 
+import jax
 import numpy as np
 import pandas
 import pytest
@@ -76,6 +77,68 @@ def test_tables_are_written_as_markdown_and_latex(compared):
     assert [line.split("|", 3)[1] for line in odd.markdown().splitlines()[2:]] == [" A\\", " B "]
     assert r"A|\& & x\_1 \textbackslash y & 1 & 2.00 & -- & --" in odd.latex()
     assert str(compared).splitlines()[0].split()[:3] == ["method", "cloud", "points"]
+
+
+FORMS = {
+    "bool": lambda cloud, ground, path: ground,
+    "integers": lambda cloud, ground, path: ground.astype(np.uint8),
+    "scores": lambda cloud, ground, path: np.where(ground, 0.5, 0.49).astype(np.float32),
+    "result": lambda cloud, ground, path: jf.FilterResult.of_labels(ground),
+    "points in another order": lambda cloud, ground, path: jf.PointCloud.from_arrays(
+        cloud.coordinates()[::-1], classification=np.where(ground, 2, 6)[::-1]
+    ),
+    "npy": lambda cloud, ground, path: np.save(path.with_suffix(".npy"), ground) or path.with_suffix(".npy"),
+    "saved": lambda cloud, ground, path: jf.FilterResult.of_labels(ground).save(path.with_suffix(".npz")),
+    "laz": lambda cloud, ground, path: jf.write(path.with_suffix(".laz"), cloud, ground) or path.with_suffix(".laz"),
+    "text, where 0 is ground": lambda cloud, ground, path: (
+        np.savetxt(path.with_suffix(".txt"), np.column_stack([cloud.coordinates(), ~ground])[::-1], "%.3f")
+        or str(path.with_suffix(".txt"))
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def labelled(town):
+    """Two halves of a town, and labels of each, of which some are wrong."""
+    west = town.xyz[:, 0] < np.median(town.xyz[:, 0])
+    halves = {"west": west, "east": ~west}
+    clouds = {n: jf.PointCloud.from_arrays(town.xyz[h], reference=town.truth[h]) for n, h in halves.items()}
+    return clouds, {name: cloud.reference ^ (np.arange(len(cloud)) % 9 == 0) for name, cloud in clouds.items()}
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+@pytest.mark.parametrize("form", FORMS)
+def test_labels_from_elsewhere_stand_beside_those_of_filters(labelled, tmp_path, form):
+    clouds, ground = labelled
+    theirs = {name: FORMS[form](clouds[name], ground[name], tmp_path / name) for name in reversed(clouds)}
+    given = {"theirs": theirs, "a list": [theirs[name] for name in clouds], "SMRF": jf.SMRF()}
+    found = jf.compare(given, clouds, repeats=0, cell=None)
+    for name, cloud in clouds.items():
+        scores = jf.evaluate(ground[name], cloud)
+        assert found.by_method("kappa").loc[name, ["theirs", "a list"]].tolist() == [scores.kappa] * 2
+    rows = found.table[found.table["method"] == "theirs"]
+    assert rows["seconds"].isna().all() and rows["ground"].tolist() == [ground[name].sum() for name in clouds]
+    line = found.markdown().splitlines()[2]
+    assert line.startswith("| theirs | west |") and line.endswith("| – | – |")
+    assert found.provenance["clouds"] == {name: cloud.digest() for name, cloud in clouds.items()}
+
+
+@pytest.mark.parametrize("change, error, words", [
+    (lambda west, east: [west, east[1:]], jf.InputError, r"compare: theirs on east: labels bool\[\d+\] for \d+ points"),
+    (lambda west, east: [west, east + 1], jf.InputError, "theirs on east: the label of point 0 is 2: .* classes == 2"),
+    (lambda west, east: [west * np.float32("nan"), east], jf.InputError, "theirs on west: the label of point 0 is nan"),
+    (lambda west, east: west, jf.InputError, "theirs: there are 2 clouds and labels of 1"),
+    (lambda west, east: {"west": west, "north": east}, jf.InputError, "theirs: labels: east has no labels"),
+    (lambda west, east: [west, jf.SMRF()], jf.ParameterError, "the list of theirs has filters and labels"),
+    (lambda west, east: [west, "no.npy"], jf.InputError, r"no\.npy: cannot be read .*No such file"),
+])  # fmt: skip
+def test_labels_that_do_not_fit_are_found_before_anything_runs(labelled, monkeypatch, change, error, words):
+    clouds, ground = labelled
+    monkeypatch.setattr(jf.SMRF, "__call__", None)
+    with pytest.raises(error, match=words):
+        jf.compare({"SMRF": jf.SMRF(), "theirs": change(*ground.values())}, clouds)
+    with pytest.raises(jf.ParameterError, match="labels need a name"):
+        jf.compare([ground["west"]], clouds["west"])
 
 
 LISTS = {"one of two": [jf.SMRF(threshold=0.2), jf.SMRF(threshold=1.5)]}
@@ -197,6 +260,52 @@ def test_results_become_tables_with_coordinates_and_units(town):
     assert "x" not in alone.to_xarray().coords and len(alone.to_pandas()) == len(cloud)
 
 
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+@pytest.mark.parametrize("filter_, key", [
+    (jf.OST(), None), (jf.PTD(), jax.random.PRNGKey(7)), (jf.CSF(), jax.random.key(7)), (None, None),
+])  # fmt: skip
+def test_a_result_comes_back_from_its_file_bit_for_bit(tmp_path, filter_, key):
+    cloud = jf.scenes.make("coast", size=80, density=1.0, seed=3).cloud
+    result = jf.FilterResult.of_labels(cloud.candidate) if filter_ is None else filter_(cloud, key=key, trace=True)
+    again = jf.FilterResult.load(result.save(tmp_path / "result"))
+    for name, values in vars(result).items():
+        if isinstance(values, np.ndarray):
+            assert values.dtype == getattr(again, name).dtype and values.tobytes() == getattr(again, name).tobytes()
+    assert (again.status, again.info, again.run, repr(again)) == (result.status, result.info, None, repr(result))
+    for before, after in zip(result.trace, again.trace, strict=True):
+        assert before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before)
+    assert (again.water_cells is None) == (result.water_cells is None) == (filter_ != jf.OST())
+    if again.water_cells is not None:
+        assert again.water_cells.side == result.water_cells.side
+        assert np.array_equal(again.water_cells.at, result.water_cells.at)
+    found = again.provenance
+    assert found == result.provenance
+    if filter_ is not None:
+        assert type(filter_)(**found["parameters"]) == filter_ and found["jaxfilter"] == jf.__version__
+        assert found["cloud"] == cloud.digest() and found["key"] == (None if key is None else [0, 7])
+        turned = jf.PointCloud.from_arrays(cloud.coordinates()[::-1], candidate=cloud.candidate[::-1])
+        assert found["cloud"] != turned.digest()
+    with pytest.raises(jf.OutputError, match=r"result: the file exists; pass overwrite=True"):
+        result.save(tmp_path / "result")
+    assert jf.FilterResult.load(again.save(tmp_path / "result", overwrite=True)).provenance == found
+
+
+@pytest.mark.parametrize("kind", ["absent", "text", "array", "npz", "cut", "changed"])
+def test_a_file_that_is_no_result_is_named(tmp_path, kind):
+    path = jf.FilterResult.of_labels(np.ones(1000, bool)).save(tmp_path / "result.npz")
+    whole = path.read_bytes()
+    if kind == "array":
+        path = tmp_path / "a.npy"
+        np.save(path, np.ones(3))
+    elif kind == "npz":
+        np.savez(path, ground=np.ones(3, bool))
+    else:
+        made = {"text": b"no result", "cut": whole[:-500], "changed": whole.replace(b"\1" * 900, b"\1" * 899 + b"\0")}
+        path.unlink() if kind == "absent" else path.write_bytes(made[kind])
+    with pytest.raises(jf.InputError, match=rf"{path.name}: is no result that FilterResult\.save has written"):
+        jf.FilterResult.load(path)
+
+
 def test_too_few_clouds_for_any_significance_are_said():
     least = scipy.stats.wilcoxon([1.0, 2.0, 3.0, 4.0]).pvalue
     four = table_of({"A": [1.0, 2.0, 3.0, 4.0], "B": [2.0, 4.0, 6.0, 8.0]})
@@ -219,6 +328,27 @@ def test_methods_by_clouds_have_means_and_the_best_in_bold():
     ]
     assert r"A\_1 & \textbf{1.00} & 4.00 & \textbf{2.50} \\" in found.latex("total")
     assert "| A_1 | **99.00** | 96.00 |" in found.markdown("kappa")
+
+
+def test_scores_stand_side_by_side_above_their_means_as_in_the_literature():
+    found = table_of({"A_1": [1.0, 4.0, 3.0], "B": [2.0, 3.0, math.nan]})
+    assert found.markdown(["total", "kappa"]).splitlines() == [
+        "| cloud | A_1 TE | A_1 kappa | B TE | B kappa |",
+        "|---|---:|---:|---:|---:|",
+        "| c0 | **1.00** | **99.00** | 2.00 | 98.00 |",
+        "| c1 | 4.00 | 96.00 | **3.00** | **97.00** |",
+        "| c2 | **3.00** | **97.00** | – | – |",
+        "| mean, a | **2.50** | **97.50** | **2.50** | **97.50** |",
+        "| mean, b | **3.00** | **97.00** | – | – |",
+        "| mean | **2.67** | **97.33** | – | – |",
+    ]
+    rows = found.latex(["total", "kappa"]).splitlines()
+    assert rows[2] == r" & \multicolumn{2}{c}{A\_1} & \multicolumn{2}{c}{B} \\"
+    assert rows[3] == r"cloud & TE & kappa & TE & kappa \\"
+    assert [i for i, row in enumerate(rows) if row == r"\midrule"] == [4, 8]
+    assert rows[9] == r"mean, a & \textbf{2.50} & \textbf{97.50} & \textbf{2.50} & \textbf{97.50} \\"
+    with pytest.raises(jf.ParameterError, match="score='f1'"):
+        found.markdown(["total", "f1"])
 
 
 def test_a_model_that_is_too_low_is_no_better_than_one_that_is_too_high():

@@ -1,11 +1,14 @@
 """Labelled clouds by name, and folders of them."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jaxfilter as jf
+from jaxfilter.scoring import reference_labels
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +71,42 @@ def test_a_comparison_of_a_folder_has_one_cloud_in_memory_at_a_time(place, monke
     compared = jf.compare({"SMRF": jf.SMRF()}, data, repeats=0, cell=None)
     assert compared.table["cloud"].tolist() == ["test/b", "train/a"]
     assert compared.table["total"].nunique() == 1
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_the_page_on_benchmarks_suits_folders_of_their_layouts(tmp_path, monkeypatch, capsys):
+    """Ground is ground, what has no reference is not scored, and methods see all but what nobody measured."""
+    scene = jf.scenes.make("mixed", size=50, density=1.0, seed=2)
+    number = np.arange(len(scene))
+    ground, kind = scene.truth, number % 10
+    layouts = {  # classes of objects, by a number from 0 to 9; that of ground; those that are not scored, and not seen
+        "opengf": (["OpenGF/Train/S1_1.laz", "OpenGF/Validation/S1_2.laz", "OpenGF/Validation/S9_3.laz", "OpenGF/Test/T1.laz"],
+                   [1], 2, (), ()),
+        "dales": (["dales_las/train/5080_54435.las", "dales_las/test/5080_54400.las"], [2, 3, 4, 5, 6, 7, 8, 0], 1, (0,), ()),
+        "fractal": (["FRACTAL/train/TRAIN-0.laz", "FRACTAL/val/VAL-0.laz", "FRACTAL/test/TEST-0.laz"],
+                    [1, 3, 4, 5, 6, 9, 17, 64, 65, 66], 2, (9, 65, 66), (65, 66)),
+    }  # fmt: skip
+    classes = {}
+    for name, (files, objects, as_ground, *_) in layouts.items():
+        classes[name] = np.where(ground, as_ground, np.resize(objects, 10)[kind]).astype(np.uint8)
+        for file in files:
+            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+            jf.write(tmp_path / file, dataclasses.replace(scene.cloud, classification=classes[name]), None)
+    (tmp_path / "predictions").mkdir()
+    np.save(tmp_path / "predictions" / "5080_54400.npy", ground)
+    monkeypatch.chdir(tmp_path)
+    page, names = Path(__file__).parents[1] / "docs" / "benchmarks.md", {"jf": jf}
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+        exec(block, names)
+    echoes = jf.PointCloud.from_arrays(scene.xyz, **{
+        key: getattr(scene, key) for key in ("return_number", "number_of_returns")
+    }).candidate  # fmt: skip
+    for name, (files, _, _, unscored, unseen) in layouts.items():
+        assert len(names[name]) == len(files)
+        for cloud in names[name].values():
+            scored = ~np.isin(classes[name], unscored)
+            assert (cloud.reference == ground).all() and (reference_labels(cloud)[1] == scored).all()
+            assert (cloud.candidate == (echoes & ~np.isin(classes[name], unseen))).all()
+    assert names["terrain"] == {"Validation/S1_2": "S1", "Validation/S9_3": "S9"}
+    row = capsys.readouterr().out.splitlines()[2]
+    assert row.startswith("| test/5080_54400 | **0.00** | **0.00** | **0.00** | **100.00** |")

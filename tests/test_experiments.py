@@ -306,7 +306,8 @@ def two_pages(tmp_path, monkeypatch):
     }
 
     def run(command, **_):
-        place, *methods = command[3:]
+        place, *methods = command[3 : command.index("--out")]
+        assert command[-1] == "here/one/results"
         report.write_page(tmp_path / "here" / place, "# A title\n\nText.", " ".join(["python", *command[2:]]), methods)
         return SimpleNamespace(returncode=0)
 
@@ -323,7 +324,9 @@ def test_stale_pages_are_made_once_after_those_that_they_read(two_pages, monkeyp
     assert remake.main([]) == 0
     made = [line.split(":")[0] for line in capsys.readouterr().out.splitlines() if "exit code" in line]
     assert made == [one, two] and not any(remake.stale(*page) for page in pages.items())
-    assert (here / one).read_text().startswith("# A title\n\n`python script.py one/results/one.md`")
+    assert (
+        (here / one).read_text().startswith("# A title\n\n`python script.py one/results/one.md --out here/one/results`")
+    )
     assert report.made(here / two).labels == {"smrf": "1 2 3"}
     assert "it is <!-- = one/rows.csv name=a value .1f -->2.5<!-- / -->" in (here.parent / "README.md").read_text()
     monkeypatch.setattr(remake, "counts", {"smrf": "1 2 4"}.__getitem__)

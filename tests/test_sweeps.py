@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 from typing import Any, NamedTuple
 
 import jax
@@ -269,6 +270,7 @@ def test_scores_are_those_of_evaluate_and_dimensions_those_of_the_axes(cloud):
         assert int(here.ground) == result.ground.sum()
     np.testing.assert_allclose(data.votes, votes / 6, atol=1e-6)
     assert data.slope.attrs["units"] == "rise/run" and data.attrs["groups"] == 1
+    assert json.loads(data.attrs["clouds"]) == {"cloud": cloud.digest()} and data.attrs["jaxfilter"] == jf.__version__
 
 
 def test_several_clouds_and_clouds_without_reference(cloud, hills):

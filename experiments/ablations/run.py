@@ -631,7 +631,7 @@ def figure(lines: Sequence[Row], path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", default=samples.SAMPLES, help="such as 11 24 [all]"
     )

@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run every method on both platforms, each in a process of its own, and write the table."""
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     parser.add_argument("--size", type=float, default=1000.0, help="side of the simulated scene, m [%(default)s]")
     parser.add_argument("--platforms", nargs=2, default=["cpu", "cuda,cpu"], help="names of JAX [%(default)s]")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)

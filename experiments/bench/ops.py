@@ -37,9 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--millions", type=float, nargs="+", default=MILLIONS, help="millions of cells [%(default)s]")
-    parser.add_argument(
-        "--out", type=Path, default=Path(__file__).parent / "results", help="folder for ops.md and ops.csv"
-    )
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "out", help="folder for ops.md and ops.csv")
     options = parser.parse_args(given)
     options.out.mkdir(parents=True, exist_ok=True)
     missing = [name for name, module in PEERS.items() if importlib.util.find_spec(module) is None]

@@ -198,7 +198,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=3, help="warm calls, of which the median counts [%(default)s]")
     parser.add_argument("--reports", type=float, default=0.0, metavar="M", help="million points of reports [none]")
     parser.add_argument("--page", default="results", help="name of the page, such as large [%(default)s]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     return parser
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shlex
+import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -210,6 +212,7 @@ def main() -> None:
     """Fit, test, and write tables, the diagram and, if asked, the weights."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     parser.add_argument("--write", action="store_true", help="put the weights into the package")
     arguments = parser.parse_args()
     with ProcessPoolExecutor() as pool:
@@ -228,8 +231,8 @@ def main() -> None:
     }
     rows = [{"what": name, **figures(p, wrong)} for name, (p, wrong) in tests.items()]
     each = [{"what": one.name, **figures(p, one.wrong), "unnamed": 100 * one.unnamed} for one, p in stated_of]
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
+    results = arguments.out
+    results.mkdir(parents=True, exist_ok=True)
     write_csv(results / "doubt.csv", rows + each)
     columns = [
         ("what", "clouds", ""), ("points", "points", ",d"), ("errors", "errors %", ".2f"), ("doubt", "mean doubt %", ".2f"),
@@ -237,7 +240,7 @@ def main() -> None:
     ]  # fmt: skip
     table = markdown(columns, rows)
     detail = markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
-    command = "python -m experiments.default.doubt" + " --write" * arguments.write
+    command = shlex.join(["python", "-m", "experiments.default.doubt", *sys.argv[1:]])
     write_page(results / "doubt.md", f"# What doubts are worth\n\n{table}\n\n{detail}", command, ("ost", "scenes"))
     picture(dict(list(tests.items())[:3]), results / "doubt.png")
     print(table)

@@ -306,7 +306,7 @@ def page(changes: pd.DataFrame, names: list[str]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Vary all constants, draw, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "results")
+    options = search.options(__doc__, arguments, HERE / "out")
     path, defaults = options.out / "flat.csv", repr([(constant.title, constant.default) for constant in constants()])
     now = f"{word('ost')}-{word(SCENES)}-{hashlib.blake2b(defaults.encode(), digest_size=3).hexdigest()}"
     wanted = options.only or CLOUDS

@@ -32,7 +32,7 @@ TITLES = {"total": "Total error, %", "off": "Cells of 1 m that are off by more t
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the methods on all clouds, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "results")
+    options = search.options(__doc__, arguments, HERE / "out")
     chosen = options.only or KINDS
     tasks = [(one,) for one in clouds.every(samples.data_folder(options.data)) if one.kind in chosen]
     rows = [row for _, rows in search.results(work, tasks, options.processes) for row in rows]

@@ -76,7 +76,7 @@ MEANS = {"total": ".2f", "kappa": ".1f", "rmse": ".3f", "off": ".2f"}
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "results")
+    options = search.options(__doc__, arguments, HERE / "out")
     own, more = word("ost"), word(SCENES)
     chosen = {
         cloud.name: (cloud, f"{own}-{more}" if cloud.simulated else own)

@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
-    parser.add_argument("--out", type=Path, default=HERE / "results")
+    parser.add_argument("--out", type=Path, default=HERE / "out")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)

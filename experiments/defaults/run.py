@@ -146,7 +146,7 @@ def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]]) -> 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     parser.add_argument(
         "--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]"
     )

@@ -31,7 +31,7 @@ def main() -> None:
     """Run everything and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--out", type=Path, default=HERE / "results")
+    parser.add_argument("--out", type=Path, default=HERE / "out")
     parser.add_argument("--places", type=int, default=8)
     parser.add_argument("--methods", nargs="*", default=list(jf.FILTERS))
     options = parser.parse_args()

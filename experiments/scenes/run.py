@@ -12,6 +12,7 @@ import shlex
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ PROFILES = {"odmsem3d_brighton_small": 0.25, "rf4pcc_test": 0.27, "sea_cliff": 0
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "results")
+    options = search.options(__doc__, arguments, HERE / "out")
     declared = {one.name: one for one in clouds.every(samples.data_folder(options.data))}
     order = {name: number for number, name in enumerate(declared)}
     words = {name: word(name) for name in (*jf.FILTERS, SCENES)}
@@ -53,7 +54,8 @@ def main(arguments: list[str] | None = None) -> None:
     chosen = [one for one in declared.values() if not options.only or {one.kind, one.name} & {*options.only}]
     todo = [(one, [pair for pair in one.measured if (*pair, one.name) not in have]) for one in chosen]
     tasks = [task for task in todo if task[1]]
-    for number, ((cloud, _), rows) in enumerate(search.results(work, tasks, options.processes), 1):
+    drawing = partial(work, PICTURES if options.out.resolve() == HERE / "results" else options.out)
+    for number, ((cloud, _), rows) in enumerate(search.results(drawing, tasks, options.processes), 1):
         for row in rows:
             own = {"kind": cloud.kind, "cloud": cloud.name, "method": row["method"]} | cloud.facts
             tables[row.pop("measure")].append(own | row | {"labels": labels(own)})
@@ -67,8 +69,8 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"results are in {options.out}, {sum(one.ru_utime + one.ru_stime for one in used):,.0f} s of processors")
 
 
-def work(cloud: clouds.Cloud, todo: list[tuple[str, str]]) -> list[Row]:
-    """Rows of a cloud, each with its measure and method; ``todo``: measures and methods."""
+def work(pictures: Path, cloud: clouds.Cloud, todo: list[tuple[str, str]]) -> list[Row]:
+    """Rows of a cloud, each with its measure and method; ``todo``: measures and methods. Drawings go into ``pictures``."""
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     start, site, rows, results = time.process_time(), cloud.make(), [], {}
@@ -81,7 +83,7 @@ def work(cloud: clouds.Cloud, todo: list[tuple[str, str]]) -> list[Row]:
         except jf.JaxfilterError as error:
             rows.append(head | {"status": f"{type(error).__name__}: {error}"})
     if cloud.name in PROFILES and "ost" in results:
-        draw(site, results["ost"], PROFILES[cloud.name], PICTURES / f"sensors_{cloud.name.partition('_')[0]}.png")
+        draw(site, results["ost"], PROFILES[cloud.name], pictures / f"sensors_{cloud.name.partition('_')[0]}.png")
     print(f"{cloud.name}: {time.process_time() - start:.0f} s of a processor", file=sys.stderr, flush=True)
     return [{key: float(f"{v:.5g}") if isinstance(v, float) else v for key, v in row.items()} for row in rows]
 

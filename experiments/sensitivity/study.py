@@ -22,7 +22,7 @@ class Study:
         given = sys.argv[1:] if arguments is None else arguments
         parser = argparse.ArgumentParser(description=text)
         parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-        parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+        parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
         parser.add_argument(
             "--samples", type=samples.sample_name, nargs="+", default=samples.SAMPLES, help="such as 11 24"
         )

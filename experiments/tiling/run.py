@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument("--data", type=Path, help="folder with tiles/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     parser.add_argument("--work", type=Path, default=HERE / "out", help="folder for what is generated [%(default)s]")
     names = list(jf.FILTERS)
     parser.add_argument(

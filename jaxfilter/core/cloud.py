@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import os
 from collections.abc import Iterable
 from typing import Any
@@ -266,6 +267,25 @@ class PointCloud:
         marks = [] if self.overlap is None else [self.overlap]
         marks += [] if self.classification is None else [self.classification == OVERLAP_CLASS]
         return np.logical_or.reduce(marks) if marks else None
+
+    def digest(self, *more: np.ndarray) -> str:
+        """32 hexadecimal digits by which the cloud is known again: a hash of all that filters read of it, and of ``more`` arrays.
+
+        That is coordinates, units, anchor, candidates and numbers of returns; reference, classes and file do not count. Points in
+        another order have another digest, since results are in the order of their cloud. It is computed at each call.
+
+        >>> same = jf.PointCloud.from_arrays(cloud.coordinates(), candidate=cloud.candidate)
+        >>> same.digest() == jf.PointCloud.from_arrays(cloud.coordinates(), candidate=cloud.candidate).digest()
+        True
+        >>> same.digest() == same.select(returns="all").digest()
+        False
+        """
+        found = hashlib.blake2b(repr((self.units, self.whole, self.core)).encode(), digest_size=16)
+        own = self.origin, self.anchor, self.xyz, self.candidate, self.valid, self.number_of_returns
+        for array in (*own, *more):
+            found.update(b"" if array is None else np.ascontiguousarray(array).data)
+            found.update(b"|")
+        return found.hexdigest()
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file)."""

@@ -18,7 +18,7 @@ from .errors import InputError, ParameterError, check_positive, check_whole, war
 from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, has_area, plain_points
 from .process import need_threads
-from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
+from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, key_words, silent
 from .water import WaterCells
 
 _BYTES = 1000
@@ -205,7 +205,7 @@ class Filter:
             if self.DOUBTS:
                 labels.doubt = np.full(len(labels.ground), np.nan, np.float32)
         result = expand(cloud, points, labels)
-        return dataclasses.replace(result, run=Call(one, cloud, time.perf_counter() - start))
+        return dataclasses.replace(result, run=Call(one, cloud, time.perf_counter() - start, key_words(key)))
 
     def _need_values(self, cloud: Any) -> None:
         """Raises: InputError for a traced array, ParameterError for a traced field: sorting and triangulation need values."""

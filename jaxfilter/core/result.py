@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import json
+import os
+import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from zipfile import BadZipFile
 
+import jax
 import numpy as np
 
-from .errors import InputError, warn
+from .errors import DAMAGED, InputError, OutputError, warn
+from .output import output_errors, replacing
+from .version import __version__
 from .water import WaterCells
 
 if TYPE_CHECKING:
@@ -69,11 +77,13 @@ QUANTITIES = ("height", "slope", "angle", "elevation", "margin")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Call:
-    """What a result is the result of: the filter, the PointCloud that it was called with, and the wall time of the call."""
+    """What a result is the result of: the filter, the PointCloud that it was called with, the wall time of the call, and the
+    random key in whole numbers."""
 
     filter: Any
     cloud: Any
     seconds: float
+    key: list[Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -100,7 +110,8 @@ class FilterResult:
         water_cells: where the water bodies are, voids included; None = there are none, or the method looks for none.
         low_noise: bool[n]; low outliers: barred from the seeds, not ground in the end, and below the final surface, unless they
             are given. Methods that bar no points, such as SMRF, which bars cells, have none.
-        run: the filter and the cloud; None for a result that was put together by hand.
+        run: the filter and the cloud; None for a result that was put together by hand, or comes from a file.
+        loaded: the provenance that :meth:`load` has read.
 
     >>> len(result) == len(cloud), result.ground.dtype
     (True, dtype('bool'))
@@ -126,6 +137,7 @@ class FilterResult:
     water_cells: WaterCells | None = None
     low_noise: np.ndarray = None  # type: ignore[assignment]
     run: Call | None = dataclasses.field(default=None, repr=False)
+    loaded: dict[str, Any] | None = dataclasses.field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         low = self.barred & (self.height < 0) if self.low_noise is None else self.low_noise
@@ -157,6 +169,80 @@ class FilterResult:
     def __repr__(self) -> str:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
         return f"FilterResult({int(self.ground.sum())} of {len(self)} ground, {share:.1f} %; {self.status.message})"
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """By which the labels can be made again: ``jaxfilter``, its version; ``method``, ``parameters`` by name, and the random
+        ``key`` (None: the default one); ``cloud``, see :meth:`PointCloud.digest`, which is computed now; ``seconds`` of the call.
+        Plain values, as JSON holds them. Empty for a result that was put together by hand.
+
+        >>> result.provenance["method"], result.provenance["cloud"] == cloud.digest()
+        ('OST', True)
+        """
+        if self.run is None:
+            return dict(self.loaded or {})
+        run = self.run
+        facts: dict[str, Any] = {
+            "jaxfilter": __version__,
+            "method": type(run.filter).__name__,
+            "parameters": dataclasses.asdict(run.filter),
+            "key": run.key,
+            "cloud": run.cloud.digest(),
+            "seconds": run.seconds,
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(facts, default=_plain))
+        return plain
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the result to a file of NumPy (``.npz``): all arrays, and status, counts and :attr:`provenance` as JSON in
+        ``facts``. The file appears whole or not at all. The cloud is not in it.
+
+        Returns: the path. Raises: OutputError if it exists and not ``overwrite``, or if the operating system refuses.
+
+        >>> result.save("result.npz").name
+        'result.npz'
+        """
+        path, trace = Path(path), [dict(step) for step in self.trace]
+        arrays = {f"trace_{i}": step.pop("ground") for i, step in enumerate(trace) if "ground" in step}
+        arrays |= {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        if self.water_cells is not None:
+            arrays |= {f"water_{name}": np.asarray(values) for name, values in vars(self.water_cells).items()}
+        facts = {"format": _FORMAT, "status": self.status.name, "info": self.info, "trace": trace}
+        text = json.dumps(facts | {"provenance": self.provenance}, default=_plain)
+        with output_errors(path):
+            if path.exists() and not overwrite:
+                raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
+            with replacing(Path(os.path.realpath(path))) as part, part.open("wb") as file:
+                np.savez(file, facts=np.array(text), **arrays)
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> FilterResult:
+        """The result that :meth:`save` has written: arrays bit for bit, without the cloud. Whether a cloud is the one that it was
+        made of says ``cloud.digest() == result.provenance["cloud"]``.
+
+        Raises: InputError for a file that cannot be read, or is of another kind.
+
+        >>> again = jf.FilterResult.load(result.save("result.npz"))
+        >>> bool((again.ground == result.ground).all()), again.provenance == result.provenance
+        (True, True)
+        """
+        try:
+            with np.load(path) as file:
+                arrays = dict(file)
+            facts = json.loads(str(arrays.pop("facts")))
+            if facts["format"] != _FORMAT:
+                raise ValueError(f"its format is {facts['format']!r}, not {_FORMAT!r}")
+            water = [arrays.pop(f"water_{name}") for name in ("side", "at", "z")] if "water_side" in arrays else []
+            cells = WaterCells(float(water[0]), *water[1:]) if water else None
+            for i, step in enumerate(facts["trace"]):
+                step |= {"ground": arrays.pop(f"trace_{i}")} if f"trace_{i}" in arrays else {}
+            if wrong := [name for name, values in arrays.items() if values.shape != arrays["ground"].shape]:
+                raise ValueError(f"{wrong[0]} has another length than ground")
+            more = {"info": facts["info"], "trace": facts["trace"], "loaded": facts["provenance"], "water_cells": cells}
+            return cls(**arrays, status=Status[facts["status"]], **more)
+        except (*DAMAGED, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
+            raise InputError(f"{path}: is no result that FilterResult.save has written ({error})") from error
 
     def to_xarray(self) -> xarray.Dataset:
         """All quantities over the dimension ``point``, with their units, and what the cloud says of the points.
@@ -203,6 +289,19 @@ class FilterResult:
         table["decision"] = pandas.Categorical.from_codes(self.decision.astype(int), names)
         table.attrs = dict(data.attrs)
         return table
+
+
+_FORMAT = "jaxfilter.FilterResult 1"
+
+
+def key_words(key: Any) -> list[Any] | None:
+    """A JAX random key in whole numbers; None for None."""
+    return None if key is None else np.asarray(jax.random.key_data(key)).tolist()
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not hold, as what it holds."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def _coordinates(cloud: Any) -> np.ndarray:

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import errno
-import functools
 import hashlib
 import os
 import shutil
 import stat
-import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, cast
 
 from ..core.errors import InputError, OutputError, warn
+from ..core.output import UNFINISHED as UNFINISHED
+from ..core.output import output_errors as output_errors
+from ..core.output import replacing
+from ..core.output import sync as sync
 from ..core.reading import Bounds as Bounds
 from ..core.reading import check_bounds as check_bounds
 from .storage import Place, Remote
 
-UNFINISHED = ".jaxfilter-part-"
-"""Begins the names of hidden folders in which files lie while they are written."""
-_DEAD = 86_400.0  # seconds after which nobody writes to such a folder any more
 CHANGED_IN_READING = "the file changed while it was read; read it again when it is complete"
 CHANGED_SINCE = "the file has changed since the cloud was read; read it again"
 
@@ -157,9 +154,8 @@ def new_file(
 ) -> Iterator[Path]:
     """A name to write to; the file gets the name ``path`` when the block ends, and vanishes if it fails.
 
-    The file is written in a hidden folder beside ``path``, and has reached the disk before it gets its name. A process that is
-    killed leaves that folder; a later write removes it when it is a day old. What ``path`` replaces gives it its permissions.
-    A symbolic link stays, and the file that it names is written. A remote file is written to a local disk first.
+    The file is written as by :func:`replacing`. What ``path`` replaces gives it its permissions. A symbolic link stays, and the
+    file that it names is written. A remote file is written to a local disk first.
 
     ``into``: a local file that is written in place of ``path``, and whose content is to take that name later.
 
@@ -178,21 +174,16 @@ def new_file(
                 raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
             if mine and isinstance(path, Path):
                 warn_of_names(path)
-        beside = None if final is None else final.parent
-        if beside is not None:
-            remove_dead(beside)
-        with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=beside, ignore_cleanup_errors=True) as folder:
-            part = Path(folder) / "part"
-            yield part
-            if final is None or beside is None:
+        if final is None:
+            with tempfile.TemporaryDirectory(prefix=UNFINISHED, ignore_cleanup_errors=True) as folder:
+                part = Path(folder) / "part"
+                yield part
                 cast(Remote, path).put(part)
-                return
-            sync(part)
+            return
+        with replacing(final) as part:
+            yield part
             if old is not None:
                 shutil.copymode(cast(Path, path), part)
-            os.replace(part, final)
-            with contextlib.suppress(OSError):  # not every system can
-                sync(beside)
 
 
 def check_writable(place: Remote) -> None:
@@ -208,39 +199,6 @@ def warn_of_names(path: Path) -> None:
     """Warn if a file that is to be replaced has other names, which keep what it holds now."""
     if (status := existing(path)) is not None and status.st_nlink > 1:
         warn(f"{path}: has {status.st_nlink} names (hard links): only this one gets the new content")
-
-
-@functools.lru_cache(1024)  # once in a process
-def remove_dead(folder: Path) -> None:
-    """Remove what killed processes have left in a folder: hidden folders of unfinished files, a day old and no links."""
-    for place in folder.glob(f"{UNFINISHED}*"):
-        with contextlib.suppress(OSError):  # no folder, or another process or user has it
-            last = max(os.lstat(one).st_mtime for one in (place, *place.iterdir()))
-            if time.time() - last > _DEAD and not place.is_symlink():
-                shutil.rmtree(place)
-
-
-@contextlib.contextmanager
-def output_errors(path: Place) -> Iterator[None]:
-    """A block that writes ``path``. Raises: OutputError that names it, when the operating system refuses."""
-    try:
-        yield
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def sync(path: Path) -> None:
-    """Wait until a file or folder has reached the disk."""
-    descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system that knows no such order
-            raise
-    finally:
-        os.close(descriptor)
 
 
 def check_own(folder: Path, make: bool = False) -> None:

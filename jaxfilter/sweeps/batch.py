@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..core.params import declared
 from ..scoring import reference_labels
 from ..steps.batch import Batch, stack_clouds
 from ..steps.grid_filter import GridFilter
+from .labels import named_labels
 from .ranges import check_filter
 from .sweep import named_clouds
 
@@ -41,7 +42,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     check_whole(blocks=blocks)
     several, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None
-    given = None if labels is None else _named_labels(labels, several, named)
+    given = None if labels is None else named_labels(labels, several, named, "batch")
     taken, ready, (one, read) = [], [], watch(filter_)
     for name, cloud in named.items():
         points = filter_.points_of(cloud)
@@ -58,22 +59,3 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     if wrong := [field.name for field in declared(one) if field.name in read and not field.metadata["static"]]:
         raise ParameterError(f"batch: the cells of {type(one).__name__} depend on {wrong[0]!r}: declare it as static")
     return stack_clouds(filter_, taken, ready, names, blocks)
-
-
-def _named_labels(labels: Any, several: bool, named: Iterable[str]) -> dict[str, Any]:
-    """The labels of each cloud by its name. They are given as a mapping, as a sequence like the clouds, or as those of one cloud.
-
-    Raises: InputError for another number, and for names of no cloud.
-    """
-    names = list(named)
-    if isinstance(labels, Mapping):
-        found = {str(name): its for name, its in labels.items()}
-    else:
-        its = list(labels) if several or np.ndim(labels) != 1 else [labels]
-        if len(its) != len(names):
-            raise InputError(f"batch: there are {len(names)} clouds and labels of {len(its)}: give those of each cloud")
-        found = dict(zip(names, its, strict=True))
-    if other := set(names) ^ set(found):
-        what = "has no labels" if min(other) in names else "is no cloud"
-        raise InputError(f"batch: labels: {min(other)} {what}: give those of every cloud, by its name")
-    return found

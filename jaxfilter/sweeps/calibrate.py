@@ -17,6 +17,7 @@ from ..core.errors import InputError, ParameterError, check_choice, check_positi
 from ..core.filter import Filter, group_equal
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
+from ..core.version import __version__
 from ..scoring import Scores, reference_labels
 from .best import SCORE_NAMES, word
 from .design import MAX_SETS, make_design, sobol
@@ -321,7 +322,8 @@ class Study:
             },
             {"set": np.arange(len(self.sets))}
             | {name: ("set", values, about(fields[name])) for name, values in columns.items()},
-            {"method": type(self.filter).__name__, "score": self.score},
+            {"method": type(self.filter).__name__, "score": self.score}
+            | {"jaxfilter": __version__, "cloud": self.subject.points.cloud.digest()},
         )
         return Calibration(
             filter=self.filter.replace(**self.sets[chosen[0]]),

@@ -20,14 +20,18 @@ from ..core.errors import InputError, JaxfilterError, ParameterError, check_choi
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
+from ..core.version import __version__
 from ..datasets import Labelled
 from ..methods import FILTERS
 from ..scoring import evaluate
 from ..terrain.accuracy import FIGURES, dtm_rmse
 from ..terrain.interpolation import Interpolation
 from .best import LARGER_IS_BETTER, SCORES, cost
+from .labels import are_labels, ground_labels, named_labels
 from .sweep import check_reference, named_clouds
 
+_Tried = Filter | type[Filter] | np.ndarray  # labels are bool[n]
+_Given = list[_Tried] | Mapping[str, Any]  # filters of which one is chosen, or labels of each cloud
 Column = tuple[str, str, str]
 """Key in a row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
 _COLUMNS: tuple[Column, ...] = (
@@ -62,7 +66,10 @@ class Comparison:
         table: a row per method and cloud: ``method``, ``cloud``, ``points``, ``ground``; ``type1``, ``type2``, ``total`` and
             ``kappa`` in percent, NaN without a reference; the figures of :func:`jaxfilter.dtm_rmse` by the names of ``as_dict``,
             NaN without a terrain model; ``seconds`` of a call, median, and ``first_seconds`` of the first one, compilation
-            included; ``status``, and ``parameters``; ``group``. A method that failed has NaN and the error as status.
+            included; ``status``, and ``parameters``; ``group``. A method that failed has NaN and the error as status. Labels from
+            elsewhere have no seconds.
+        provenance: ``jaxfilter``, its version; ``clouds``, the digest of each (:meth:`PointCloud.digest`); and the arguments
+            ``choose``, ``repeats`` and ``cell``.
 
     >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
     >>> compared.table[["method", "cloud"]].values.tolist()
@@ -70,6 +77,7 @@ class Comparison:
     """
 
     table: pandas.DataFrame
+    provenance: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def by_method(self, score: str = "total", by: str = "cloud") -> pandas.DataFrame:
         """One figure, a row per cloud and a column per method; ``by`` = "group": a row per group, the mean of its clouds.
@@ -129,46 +137,72 @@ class Comparison:
                 warn(f"significance: {most} {by}s cannot give {limits}, by the exact signed-rank test; {advice}")
         return table
 
-    def markdown(self, score: str | None = None) -> str:
-        """The table as Markdown; with a ``score``, that figure only, methods by clouds with their mean, the best in bold.
+    def markdown(self, score: str | Sequence[str] | None = None) -> str:
+        """The table as Markdown, the best in bold. Without a score all rows and figures; with a ``score``, that figure only,
+        methods by clouds with their mean; with several, as the literature prints them: a row per cloud, for each method its
+        scores side by side, and below the means of groups, if there are any, and of all clouds.
+
+        A mean is absent where a cloud has no figure. Raises: ParameterError for an unknown score.
 
         >>> compared = jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0)
         >>> compared.markdown().startswith("| method | cloud"), compared.markdown("total").startswith("| method | scene | mean |")
         (True, True)
+        >>> compared.markdown(["type1", "type2", "total", "kappa"]).splitlines()[0]
+        '| cloud | SMRF T.I | SMRF T.II | SMRF TE | SMRF kappa |'
         """
-        columns, rows, best = self._laid_out(score)
-        for row, wins in zip(rows, best, strict=True):
-            row.update({key: f"**{printed(row[key], spec)}**" for key, _, spec in columns if key in wins})
-        return markdown(columns, rows)
+        texts, best, align = self._laid_out(score, "–")
+        texts = texts.mask(best, "**" + texts + "**")
+        texts.columns = [" ".join(title).strip() if isinstance(title, tuple) else title for title in texts]
+        columns = [(title, title, side.strip("l")) for title, side in zip(texts, align, strict=True)]
+        return markdown(columns, texts.to_dict("records"))  # type: ignore[arg-type]
 
-    def latex(self, score: str | None = None) -> str:
+    def latex(self, score: str | Sequence[str] | None = None) -> str:
         """The same as a LaTeX ``tabular``; needs the package booktabs.
 
         >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        columns, rows, best = self._laid_out(score)
-        cells = [{title: printed(row.get(key), spec, "--") for key, title, spec in columns} for row in rows]
-        bold = [["textbf:--rwrap;" * (key in wins) for key, _, _ in columns] for wins in best]
-        style = pandas.DataFrame(cells).style.hide(axis="index").apply(lambda _: np.array(bold), axis=None)
+        texts, best, align = self._laid_out(score, "--")
+        style = texts.style.hide(axis="index").apply(lambda _: np.where(best, "textbf:--rwrap;", ""), axis=None)
         style = style.format(escape="latex").format_index(escape="latex", axis=1)
-        return str(style.to_latex(hrules=True, column_format="".join("r" if spec else "l" for _, _, spec in columns)))
+        text = style.to_latex(hrules=True, column_format="".join(align), multicol_align="c")
+        lines = str(text).splitlines(keepends=True)
+        if texts.columns.nlevels > 1:  # a rule above the means
+            lines.insert(lines.index("\\midrule\n") + 1 + self.table["cloud"].nunique(), "\\midrule\n")
+        return "".join(lines)
 
-    def _laid_out(self, score: str | None) -> tuple[list[Column], list[dict[str, Any]], list[list[str]]]:
-        """The table; of a score, methods by clouds. And for each row the columns in which it is best, as it is printed."""
-        rows: list[dict[str, Any]]
+    def _laid_out(
+        self, score: str | Sequence[str] | None, absent: str
+    ) -> tuple[pandas.DataFrame, pandas.DataFrame, list[str]]:
+        """The texts of a table, bool of those that are best, and "l" or "r" for each column."""
         if score is None:
-            rows = self.table.to_dict("records")  # type: ignore[assignment]
-            return self._columns(), rows, [[] for _ in rows]
-        wide = self.by_method(score).T
-        wide["mean"] = wide.mean(axis=1, skipna=False)
-        spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
-        sizes = abs(wide) if score in SIGNED else wide
-        best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
-        wins = sizes.map(lambda value: format(value, spec)).eq(best) & wide.notna()
-        rows = [{"method": one} | line.to_dict() for one, line in wide.iterrows()]
-        columns = [("method", "method", ""), *((str(name), str(name), spec) for name in wide.columns)]
-        return columns, rows, [list(wide.columns[line]) for line in wins.values]
+            columns = self._columns()
+            cells = {title: [printed(value, spec, absent) for value in self.table[key]] for key, title, spec in columns}
+            texts = pandas.DataFrame(cells)
+            return texts, texts != texts, ["r" if spec else "l" for _, _, spec in columns]
+        several, known = not isinstance(score, str), {key: (title, spec) for key, title, spec in _COLUMNS}
+        found, wins = dict[str, pandas.DataFrame](), dict[str, pandas.DataFrame]()
+        for one in score if several else [str(score)]:
+            title, spec = known.get(one, (one, ".3f"))
+            wide = self.by_method(one)
+            under = [wide.mean(skipna=False).to_frame("mean").T]
+            if several and self.table["group"].nunique() < len(wide):
+                grouped = wide.groupby(self.table.groupby("cloud")["group"].first(), sort=False)
+                under.insert(0, grouped.agg(lambda of: of.mean(skipna=False)).rename("mean, {}".format))
+            wide = pandas.concat([wide, *under])
+            sizes = abs(wide) if one in SIGNED else wide
+            best = sizes.max(axis=1) if one in LARGER_IS_BETTER else sizes.min(axis=1)
+            shown, found[title] = (frame.map(printed, spec=spec, absent=absent) for frame in (sizes, wide))
+            equal = shown.eq(best.map(lambda value, spec=spec: printed(value, spec, absent)), axis=0)
+            wins[title] = equal & wide.notna() & (wide.shape[1] > 1)
+        if several:
+            both = pandas.MultiIndex.from_product([wide.columns, found])
+            texts, best = (pandas.concat(of, axis=1).swaplevel(axis=1).reindex(columns=both) for of in (found, wins))
+        else:
+            texts, best = found[title].T, wins[title].T
+        for frame, first in ((texts, texts.index), (best, False)):
+            frame.insert(0, ("", "cloud") if several else "method", first)
+        return texts, best, ["l", *"r" * (texts.shape[1] - 1)]
 
     def _columns(self) -> list[Column]:
         """Scores only where there are any."""
@@ -212,6 +246,12 @@ def compare(
             ``for_cloud(cloud)`` of the method. In a list filters are named by what differs from the defaults. A value of a
             mapping may be a list, such as presets: each group of clouds is filtered with the one of them that is best in the
             mean of the clouds of the *other* groups. So no parameter is chosen on labels that it is scored on.
+            A value of a mapping may also be labels from elsewhere, such as those of a network or another program: those of one
+            cloud, a list like the clouds, or a mapping from names of clouds. Labels of a cloud are an array [n] in the order of
+            its points: True or 1 = ground, False or 0 = object, and of scores between those of 0.5 and more are ground; or a
+            FilterResult; or the same points with labels or class 2 = ground in any order, as a PointCloud or a file that
+            :func:`jaxfilter.read` takes (in text ISPRS's 0 = ground); or a file ``.npy`` of an array, or ``.npz`` by
+            :meth:`FilterResult.save`. All are scored as filters are: on all points of the cloud with a reference.
         clouds: one, a list, or a mapping from names, as for :func:`jaxfilter.sweep`.
         groups: name of each cloud (of a list its number) to its group, such as the site; by default each cloud is a group.
         choose: the score by which filters of a list are chosen.
@@ -222,35 +262,44 @@ def compare(
         progress: called with the fraction done and what is being done.
 
     Returns: Comparison.
-    Raises: ParameterError for filters that are none or have one name, and InputError for reference labels of one class only,
-        before anything runs.
+    Raises: ParameterError for filters that are none or have one name, and InputError for reference labels of one class only, and
+        for labels that do not fit their cloud, before anything runs.
 
     >>> compared = jf.compare(["smrf", jf.MSF(slope=0.3)], cloud, repeats=0)
     >>> bool(compared.table.total.max() < 30)
     True
+    >>> theirs = jf.compare({"theirs": truth, "SMRF": "smrf"}, cloud, repeats=0)
+    >>> theirs.by_method("total")["theirs"].tolist()
+    [0.0]
     """
-    named = _named_filters(filters)
     check_choice(SCORES, choose=choose)
     check_resources(workers)
     check_positive(" of metres, or None", cell=cell)
     check_whole(0, repeats=repeats)
     of_name = clouds if isinstance(clouds, Labelled) else named_clouds(clouds, "compare")[1]
+    named = _named_filters(filters, of_name)
     given = {str(name): str(its) for name, its in (groups or {}).items()}
     group = {name: given.get(name, name) for name in of_name}
     if strange := set(given) - set(of_name):
         raise ParameterError(f"groups: there is no cloud {min(strange)!r}; there are {', '.join(of_name)}")
-    if len(set(group.values())) < 2 and any(len(some) > 1 for some in named.values()):
+    if len(set(group.values())) < 2 and any(len(some) > 1 for some in named.values() if isinstance(some, list)):
         raise ParameterError("filters: one of a list is chosen on other groups of clouds; there is one group only")
-    for name in of_name:
-        check_reference(name, of_name[name], "compare")
+    digests = dict[str, str]()
+    for place in of_name:
+        cloud = of_name[place]
+        check_reference(place, cloud, "compare")
+        for name, some in named.items():
+            _on(some, name, place, cloud)
+        digests[place] = cloud.digest()
     found, report = {}, progress or silent
     for done, place in enumerate(of_name):
         cloud = of_name[place]
-        for part, name in enumerate(named):
+        for part, (name, some) in enumerate(named.items()):
             report((done + part / len(named)) / len(of_name), f"{place}, {name}")
             facts = {"method": name, "cloud": place, "points": len(cloud)}
             end = {"group": group[place]}
-            found[name, place] = [facts | _row(one, cloud, repeats, cell, workers) | end for one in named[name]]
+            tries = _on(some, name, place, cloud)
+            found[name, place] = [facts | _row(one, cloud, repeats, cell, workers) | end for one in tries]
     report(1.0, "done")
     rows = []
     for name, place in itertools.product(named, of_name):
@@ -263,7 +312,8 @@ def compare(
                 raise InputError(f"compare: no cloud outside group {group[place]} has a reference to choose {name} by")
             best = int(np.argmin(np.nan_to_num(costs, nan=np.inf).mean(axis=0)))
         rows.append(tried[best])
-    return Comparison(pandas.DataFrame(rows))
+    provenance = {"jaxfilter": __version__, "choose": choose, "repeats": repeats, "cell": cell, "clouds": digests}
+    return Comparison(pandas.DataFrame(rows), provenance)
 
 
 def timed(
@@ -313,14 +363,20 @@ def holm(p: Sequence[float]) -> list[float]:
     return out.tolist()
 
 
-def _row(
-    one: Filter | type[Filter], cloud: PointCloud, repeats: int, cell: float | None, workers: int | None
-) -> dict[str, Any]:
-    """Figures of a filter, or of the method ``for_cloud``, on a cloud."""
+def _on(some: _Given, name: str, place: str, cloud: PointCloud) -> list[_Tried]:
+    """What is scored on a cloud. Raises: InputError for labels that do not fit it."""
+    return some if isinstance(some, list) else [ground_labels(some[place], cloud, f"compare: {name} on {place}")]
+
+
+def _row(one: _Tried, cloud: PointCloud, repeats: int, cell: float | None, workers: int | None) -> dict[str, Any]:
+    """Figures of a filter, of the method ``for_cloud``, or of labels, on a cloud."""
     row: dict[str, Any] = dict.fromkeys(("ground", *_OPTIONAL, *_TIMES), math.nan)
     try:
-        filter_ = one.for_cloud(cloud) if isinstance(one, type) else one
-        result, first, seconds = timed(filter_, cloud, repeats, workers)
+        if isinstance(one, np.ndarray):
+            parameters, (result, first, seconds) = "labels", (FilterResult.of_labels(one), math.nan, math.nan)
+        else:
+            filter_ = one.for_cloud(cloud) if isinstance(one, type) else one
+            parameters, (result, first, seconds) = repr(filter_), timed(filter_, cloud, repeats, workers)
     except JaxfilterError as error:
         return row | {"status": f"{type(error).__name__}: {error}", "parameters": repr(one)}
     row |= {"ground": int(result.ground.sum()), "seconds": seconds, "first_seconds": first}
@@ -331,25 +387,33 @@ def _row(
             with contextlib.suppress(InputError):  # too few ground points for a model
                 errors = dtm_rmse(cloud, result, cell=cell / cloud.units.xy, interpolation=Interpolation(fill=True))
                 row |= errors.as_dict()
-    return row | {"status": result.status.name, "parameters": repr(filter_)}
+    return row | {"status": result.status.name, "parameters": parameters}
 
 
-def _named_filters(filters: Any) -> dict[str, list[Filter | type[Filter]]]:
-    """Filters and methods by name, several where one is to be chosen. Raises ParameterError."""
+def _named_filters(filters: Any, clouds: Iterable[str]) -> dict[str, _Given]:
+    """Filters and methods by name, several where one is to be chosen; of labels those of each cloud. Raises: ParameterError;
+    InputError for labels of other clouds."""
     if isinstance(filters, Mapping):
-        pairs = [(str(name), some if isinstance(some, (list, tuple)) else [some]) for name, some in filters.items()]
+        pairs = [(str(name), some) for name, some in filters.items()]
     else:
         several = isinstance(filters, Iterable) and not isinstance(filters, str)
-        pairs = [(_label(one), [one]) for one in map(_known, filters if several else [filters])]
+        pairs = [(_label(one), one) for one in map(_known, filters if several else [filters])]
     if not pairs:
         raise ParameterError("filters: there is none; pass filters, classes of filters or their names")
-    out: dict[str, list[Filter | type[Filter]]] = {}
-    for name, some in pairs:
+    out: dict[str, _Given] = {}
+    for name, value in pairs:
+        some = list(value) if isinstance(value, (list, tuple)) else [value]
         if not some:
             raise ParameterError(f"filters: the list of {name} is empty")
         if name in out:
             raise ParameterError(f"filters: there are two of the name {name}: pass a mapping from names of your own")
-        out[name] = [_known(one) for one in some]
+        labels = [isinstance(value, Mapping) or are_labels(one) for one in some]
+        if any(labels) and not all(labels):
+            raise ParameterError(f"filters: the list of {name} has filters and labels: give them names of their own")
+        if labels[0]:
+            out[name] = named_labels(value if isinstance(value, Mapping) else some, True, clouds, f"compare: {name}")
+        else:
+            out[name] = [_known(one) for one in some]
     return out
 
 
@@ -358,6 +422,8 @@ def _known(one: Any) -> Filter | type[Filter]:
         one = FILTERS[one]
     if isinstance(one, Filter) or (isinstance(one, type) and issubclass(one, Filter)):
         return one
+    if are_labels(one):
+        raise ParameterError("filters: labels need a name: pass a mapping, such as {'theirs': labels, 'SMRF': 'smrf'}")
     raise ParameterError(f"filters: {one!r} is no filter; choose from {', '.join(FILTERS)}")
 
 

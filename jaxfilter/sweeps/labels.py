@@ -1,20 +1,94 @@
-"""Labels for calibration: from classes, from a file with some of the points, within patches."""
+"""Labels from elsewhere: of all points for comparisons and batches; for calibration also of some points, and within patches."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, PointCloud
-from ..core.errors import InputError
+from ..core.errors import DAMAGED, InputError
 from ..core.reading import Bounds, inside
+from ..core.result import FilterResult
+from ..core.units import Units
 from ..engines.neighbours import nearest, tree_of
-from ..scoring import NEVER_CLASSIFIED
+from ..files.reading import read
+from ..files.writing import CLOUD_SUFFIXES
+from ..scoring import NEVER_CLASSIFIED, match_points
 
 SAME = 0.01
 """Metres: points of two files that are so near to each other are one point (text is often rounded to centimetres)."""
 UNLABELLED = -1
+
+
+def are_labels(given: Any) -> bool:
+    """Whether this is something that :func:`ground_labels` takes."""
+    if isinstance(given, str):
+        return Path(given).suffix.lower() in (".npy", ".npz", *CLOUD_SUFFIXES)
+    return isinstance(given, (os.PathLike, FilterResult, PointCloud)) or hasattr(given, "__array__")
+
+
+def ground_labels(given: Any, cloud: PointCloud, name: str) -> np.ndarray:
+    """bool[n]: the points of a cloud that are ground by labels from elsewhere.
+
+    Args:
+        given: an array [n] in the order of the cloud: True or 1 = ground, False or 0 = object, and numbers between are scores, of
+            which those of 0.5 and more are ground; a FilterResult; a PointCloud with labels, in any order; or a file: ``.npy`` of
+            an array, ``.npz`` by ``FilterResult.save``, or whatever :func:`jaxfilter.read` reads.
+        name: what they are, in error messages.
+
+    Raises: InputError for another number of points, for other points, and for values that are no labels.
+    """
+    if isinstance(given, (str, os.PathLike)):
+        given = _read(Path(given), cloud.units)
+    if isinstance(given, PointCloud):
+        ground = point_labels(given, (), name) == 1
+        return ground[match_points(cloud, given, ("the cloud", name))]
+    values: Any = np.ma.asarray(given.ground if isinstance(given, FilterResult) else given)
+    if values.shape != (len(cloud),) or values.dtype.kind not in "biuf":
+        found = f"{values.dtype}{list(values.shape)}"
+        raise InputError(f"{name}: labels {found} for {len(cloud)} points: one number or bool for each is needed")
+    values = np.ma.filled(values.astype(np.float64), np.nan)
+    if (wrong := ~((values >= 0) & (values <= 1))).any():
+        advice = "use 1 = ground, 0 = object, or a score from 0 to 1; of classes pass classes == 2"
+        raise InputError(f"{name}: the label of point {wrong.argmax()} is {values[wrong][0]:g}: {advice}")
+    return np.asarray(values >= 0.5)
+
+
+def _read(path: Path, units: Units) -> Any:
+    """Labels of a file. Raises: InputError."""
+    if path.suffix.lower() == ".npz":
+        return FilterResult.load(path)
+    if path.suffix.lower() != ".npy":
+        return read(path, units=units)
+    try:
+        return np.load(path)
+    except (*DAMAGED, EOFError) as error:
+        raise InputError(f"{path}: cannot be read as an array of labels ({error})") from error
+
+
+def named_labels(labels: Any, several: bool, named: Iterable[str], caller: str) -> dict[str, Any]:
+    """The labels of each cloud by its name. They are given as a mapping, as a sequence like the clouds, or as those of one cloud.
+
+    Raises: InputError for another number, and for names of no cloud.
+    """
+    names = list(named)
+    if isinstance(labels, Mapping):
+        found = {str(name): its for name, its in labels.items()}
+    else:
+        its = list(labels) if several or np.ndim(labels) != 1 else [labels]
+        if len(its) != len(names):
+            raise InputError(
+                f"{caller}: there are {len(names)} clouds and labels of {len(its)}: give those of each cloud"
+            )
+        found = dict(zip(names, its, strict=True))
+    if other := set(names) ^ set(found):
+        what = "has no labels" if min(other) in names else "is no cloud"
+        raise InputError(f"{caller}: labels: {min(other)} {what}: give those of every cloud, by its name")
+    return found
 
 
 def point_labels(cloud: PointCloud, unlabelled: Iterable[int] = (NEVER_CLASSIFIED,), name: str = "cloud") -> np.ndarray:

@@ -19,7 +19,7 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import DAMAGED, InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate, ground_each
 from ..core.params import declared
-from ..core.result import Progress, silent
+from ..core.result import Progress, key_words, silent
 from ..core.version import __version__
 from ..files.disk import existing, new_file
 from ..scoring import Scores, reference_labels
@@ -109,7 +109,8 @@ def sweep(
         selected by a mapping: ``data.total.sel({"tolerance": 0.3})``. Variables: ``type1``, ``type2``, ``total``, ``kappa``
         in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
         With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
-        over ``point_NAME``.
+        over ``point_NAME``. Attributes say by what it can be made again: ``jaxfilter``, its version; ``method``, ``design``,
+        ``seed``; as JSON ``parameters``, ``key``, and of each cloud the digest (:meth:`PointCloud.digest`) in ``clouds``.
     Raises: ParameterError naming the axis or argument, and InputError for reference labels of one class only, before
         anything runs; InputError for a checkpoint of another sweep.
 
@@ -144,7 +145,9 @@ def sweep(
                     report(state.done.sum() / jobs, text)
     finally:
         state.save()
-    return _dataset(filter_, plan, several, named, state)
+    digests = {name: cloud.digest() for name, cloud in named.items()}
+    facts = {"jaxfilter": __version__, "seed": seed, "key": json.dumps(key_words(key)), "clouds": json.dumps(digests)}
+    return _dataset(filter_, plan, several, named, state).assign_attrs(facts)
 
 
 def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, PointCloud]]:
@@ -263,12 +266,8 @@ def _source(method: type[Filter]) -> str:
 
 def _digest(cloud: PointCloud) -> str:
     """Of what decides labels and scores."""
-    digest = hashlib.blake2b(repr((cloud.units, cloud.whole)).encode(), digest_size=16)
     labels = () if cloud.reference is None else reference_labels(cloud)  # of classified clouds not all points count
-    for array in (cloud.origin, cloud.anchor, cloud.xyz, cloud.candidate, *labels):
-        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
-        digest.update(b"|")
-    return digest.hexdigest()
+    return cloud.digest(*labels)
 
 
 def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State) -> xarray.Dataset:

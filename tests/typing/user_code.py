@@ -19,7 +19,10 @@ def classify(source: Path, target: Path) -> jf.Scores:
 
 def checked(cloud: jf.PointCloud, result: jf.FilterResult) -> Path:
     table: jf.Comparison = jf.compare(["smrf", jf.CSF(), jf.PMF], {"site": cloud}, repeats=0)
-    print(table.markdown(), table.significance("kappa", against="CSF"), result.to_xarray().sizes)
+    labelled: jf.Comparison = jf.compare({"theirs": [result.ground], "saved": "theirs.npz", "SMRF": "smrf"}, [cloud])
+    print(labelled.latex(["type1", "type2", "total", "kappa"]), result.provenance["cloud"] == cloud.digest())
+    again: jf.FilterResult = jf.FilterResult.load(result.save("theirs.npz", overwrite=True))
+    print(table.markdown(), again, table.significance("kappa", against="CSF"), result.to_xarray().sizes)
     jf.report(cloud, result.ground, "delivered.html", reference=cloud, options=jf.ReportOptions(steps=0))
     return jf.report(cloud, result, "site.html", overwrite=True)
 
