@@ -3,7 +3,8 @@
 *fixed*: ``for_cloud(cloud)``, the defaults and what follows from the point spacing. Nothing is chosen per sample; where the
 defaults come from, and which of them were chosen on some of these samples, is told in docs/fidelity.md.
 *class*: per terrain class of Li et al. (2021) the set with the best mean kappa on the *other* samples of the class.
-*oracle*: per sample the set with the best kappa on that sample itself: a ceiling, not a result.
+*oracle*: per sample the set with the best kappa on that sample itself, of those that were tried: no result for other data, and no
+bound of the method.
 """
 
 from __future__ import annotations

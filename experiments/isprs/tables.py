@@ -24,8 +24,8 @@ MEANING = {
     "Nothing is chosen per sample. This is the comparison that counts.",
     "class": "Thresholds per terrain class (D1 to D4 of Li et al. 2021, the same map for every method): those with the best "
     "mean kappa on the *other* samples of the class, never on the one that is scored.",
-    "oracle": "Thresholds per sample with the best kappa on that sample's own labels: **a ceiling, not a result**. Every "
-    "method has the same number of tries.",
+    "oracle": "Thresholds per sample with the best kappa on that sample's own labels, of the sets that were tried: **no result "
+    "to expect on other data**, and no bound either, since other sets may do better. Every method has the same number of tries.",
 }
 
 

@@ -35,9 +35,7 @@ def main(given: list[str] | None = None) -> None:
     report.beside(
         "fixed", "One set: cell 1, slope 0.15, window 18, threshold 0.5, scaling 1.25", fixed, single, values=values
     )
-    report.beside(
-        "optima", "The authors' optimum per sample, found on its labels: a ceiling", best, optima, values=values
-    )
+    report.beside("optima", "The authors' optimum per sample, found on its labels", best, optima, values=values)
     report.write("smrf")
 
 
