@@ -396,7 +396,7 @@ def pictures(
             caption = (
                 f"Fig. {number}: {name}. Above: terrain models of 1 m by kriging, shaded and coloured alike, from the reference "
                 "labels and from each method with the parameters of Table 2. Below: the lowest point of each cell "
-                "without a filter, and model less reference; RMSE in the titles."
+                "without a filter, and model less reference; in the titles the RMSE over the cells that both models have."
             )
             report.figure(
                 terrain_panels(clouds[name], {m: results[name, m].ground for m in COMPARED}), f"dtm_{name}", caption
