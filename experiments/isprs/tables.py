@@ -68,8 +68,9 @@ CLAIMS_NOTE = (
     "Every method and PTD under one protocol: the same outlier stage, samples and tries. Matched: the "
     'fixed set with PTD\'s limits of angle and distance, since defaults differ. "Confirmed": better in the mean, on more '
     'than half of the samples, and with p < 0.05 (Wilcoxon\'s signed-rank test, two-sided); "tendency": only p is not that '
-    'small; "refuted": better neither in the mean nor on most samples; else "mixed". Claims on time are judged on the pages of '
-    "the papers (`experiments/papers`)."
+    'small; "refuted": better neither in the mean nor on most samples; else "mixed". For STIN and IPTD Uray and Varlik (2024) '
+    "print larger errors than for ATIN, so nothing is claimed of them here. Claims on time are judged on the pages of the papers "
+    "(`experiments/papers`)."
 )
 
 
