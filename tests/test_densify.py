@@ -5,6 +5,7 @@ import functools
 import itertools
 import signal
 import threading
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -373,3 +374,17 @@ def test_an_interrupt_ends_densification_before_another_step_begins(step, worker
         signal.signal(signal.SIGUSR1, before)
         cancelled.set()
     assert handled.is_set() and len(later) <= (workers if workers > 1 else 0)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("number", ["24", "41"])
+def test_too_few_seeds_for_the_area_are_warned_of_and_no_others(sample, number):
+    """IPTD as printed keeps one seed on sample 41, which two squares as large as the largest building cover."""
+    warned = set()
+    for name, method in jf.FILTERS.items():
+        for way, filter_ in (("paper", method.preset("paper")), ("for_cloud", method.for_cloud(sample(number)))):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", jf.JaxfilterWarning)
+                filter_(sample(number))
+            warned |= {(name, way, str(one.message).partition(" for ")[0]) for one in caught}
+    assert warned == ({("iptd", "paper", "IPTD: too few seeds of the ground, 1")} if number == "41" else set())

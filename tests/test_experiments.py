@@ -18,7 +18,7 @@ from experiments.ablations import run as ablations  # noqa: E402
 from experiments.benchmark import run as benchmark  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021  # noqa: E402
+from experiments.papers import li2021, paper  # noqa: E402
 from experiments.scenes import clouds as sites  # noqa: E402
 from experiments.scenes import measures  # noqa: E402
 from experiments.scenes import run as scenes  # noqa: E402
@@ -133,6 +133,13 @@ def test_claims_are_judged_by_mean_number_of_samples_and_chance(gains, verdict):
     if verdict == "confirmed":
         assert found["p"] == pytest.approx(4 / 256)  # by counting the signed ranks
     assert protocols.compare([(50.0, 50.0 + gain) for gain in gains], larger_is_better=True)["verdict"] == verdict
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "holds"), [([1, 2], [3, 4], True), ([3, 4], [1, 2], False), ([1, 3], [2, 4], None)]
+)
+def test_a_difference_of_repeated_figures_is_decided_only_where_they_do_not_overlap(first, second, holds):
+    assert paper.all_less(first, second) is holds
 
 
 def test_every_claim_is_judged_against_ptd_under_the_same_protocol():

@@ -24,8 +24,8 @@ MEANING = {
     "Nothing is chosen per sample. This is the comparison that counts.",
     "class": "Thresholds per terrain class (D1 to D4 of Li et al. 2021, the same map for every method): those with the best "
     "mean kappa on the *other* samples of the class, never on the one that is scored.",
-    "oracle": "Thresholds per sample with the best kappa on that sample's own labels: **a ceiling, not a result**. Every "
-    "method has the same number of tries.",
+    "oracle": "Thresholds per sample with the best kappa on that sample's own labels, of the sets that were tried: **no result "
+    "to expect on other data**, and no bound either, since other sets may do better. Every method has the same number of tries.",
 }
 
 
@@ -68,8 +68,9 @@ CLAIMS_NOTE = (
     "Every method and PTD under one protocol: the same outlier stage, samples and tries. Matched: the "
     'fixed set with PTD\'s limits of angle and distance, since defaults differ. "Confirmed": better in the mean, on more '
     'than half of the samples, and with p < 0.05 (Wilcoxon\'s signed-rank test, two-sided); "tendency": only p is not that '
-    'small; "refuted": better neither in the mean nor on most samples; else "mixed". Claims on time are judged on the pages of '
-    "the papers (`experiments/papers`)."
+    'small; "refuted": better neither in the mean nor on most samples; else "mixed". For STIN and IPTD Uray and Varlik (2024) '
+    "print larger errors than for ATIN, so nothing is claimed of them here. Claims on time are judged on the pages of the papers "
+    "(`experiments/papers`)."
 )
 
 

@@ -22,14 +22,15 @@ SMRF: the optima of Pingel et al. (2013). AGPTD: Zheng et al. (2024), Table 1, `
 UNLIKE_PAPER: dict[str, dict[str, Any]] = {
     "agptd": {"outlier_fate": "barred"},
     "stin": {"outlier_fate": "barred", "mirror": "off"},
+    "atin": {"mirror": "off"},
     "iptd": {"cell": 1.0, "vertex_spacing": 2.0, "translation": "none", "low_clusters": True},
 }
 """Fields in which all samples differ from the preset "paper" of the method."""
 
 
 def tuned(method: str, sample: str, **changes: Any) -> Any:
-    """A method as its authors tuned it to a sample such as "samp11", on its labels: a bound for the method, no setting to expect
-    on other data. ``changes`` come on top. Raises: KeyError for a method or a sample that has none."""
+    """A method as its authors tuned it to a sample such as "samp11", on its labels: no setting to expect on other data.
+    ``changes`` come on top. Raises: KeyError for a method or a sample that has none."""
     chosen = {name: value for name, value in TUNED[method, sample].items() if value != ""}
     return jf.FILTERS[method].preset("paper", **UNLIKE_PAPER.get(method, {}) | chosen | changes)
 

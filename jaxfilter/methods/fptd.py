@@ -15,7 +15,7 @@ from ..engines.tin.growth import Growth, Network
 from ..engines.tin.network import block_networks, border_positions
 from ..steps.outlier_filter import OutlierRadius
 from ..steps.seeds import lowest_per_window
-from ..steps.tin_filter import VertexSpacing, surrounded
+from ..steps.tin_filter import VertexSpacing, seeds_of, surrounded
 from .papers import bibtex
 
 
@@ -116,5 +116,5 @@ class FPTD(OutlierRadius, VertexSpacing):
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             reach = 1.5 * math.sqrt(2.0) * self.window  # the half diagonal of a window and its eight neighbours
             sizes = {"size": self.window, "overlap": self.stride, "reach": reach}
-            return block_networks(points, seeds, border, outliers, **sizes)
+            return block_networks(points, seeds_of(self, points, seeds), border, outliers, **sizes)
         return surrounded(self, points, seeds, outliers, self.window)

@@ -18,6 +18,7 @@ from ..engines.ground import grow
 from ..engines.tin.facets import Rule
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Network, Vertices
+from ..engines.tin.network import one_network
 from ..steps.local_planes import TRANSLATIONS, over_local_planes
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
@@ -138,6 +139,6 @@ class IPTD(TerrainAngle):
             "removed_seeds": len(potential) - len(seeds),
             "downward_rounds": len(out.trace),
         }
-        seeds = np.flatnonzero(downward.ground)
-        network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
+        border = network.xyz[network.virtual, :2]
+        network = one_network(points, np.flatnonzero(downward.ground), border, outliers)
         return dataclasses.replace(network, info=info, before=downward)

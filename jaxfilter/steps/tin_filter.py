@@ -93,7 +93,8 @@ def surrounded(
 ) -> Network:
     """All points in one triangulation of the seeds (i64[s]), with border points every ``spacing`` metres.
 
-    Without seeds the lowest point is one, with a warning. ``name``: of the field that the spacing is, if not that of the window.
+    Few seeds are warned of, and without any the lowest point is one (:func:`seeds_of`). ``name``: of the field that the
+    spacing is, if not that of the window.
     """
     name = f"{type(filter_).__name__}({name or filter_.WINDOW})"
     border = border_positions(*points.extent, spacing, points.anchored(), name)
@@ -101,11 +102,28 @@ def surrounded(
 
 
 def seeds_of(filter_: TinFilter, points: Points, seeds: np.ndarray) -> np.ndarray:
-    """The seeds, i64[s], or if there is none the row of the lowest point, with a warning."""
-    if len(seeds):
-        return seeds
-    warn(f"{type(filter_).__name__}: no point is left as a seed of the ground, and the lowest one is taken")
-    return np.array([np.argmin(points.xyz[:, 2])])
+    """The seeds, i64[s], or if there is none the row of the lowest point, with a warning; also where seeds are few.
+
+    A square as large as the largest building holds ground, and so should hold a seed. With one for two squares or fewer, much
+    of the first surface is a guess, which facets between far seeds or simulated points make.
+    """
+    name = type(filter_).__name__
+    if len(seeds) == 0:
+        warn(f"{name}: no point is left as a seed of the ground, and the lowest one is taken")
+        return np.array([np.argmin(points.xyz[:, 2])])
+    size = float(getattr(filter_, filter_.WINDOW))
+    low, high = points.extent
+    number = np.maximum(1, (high - low) // size)  # the last square of a row holds what is left over
+    if 2 * len(seeds) <= number.prod():  # else there are seeds enough, whatever squares are empty
+        at = np.minimum((points.xyz[:, :2] - low) // size, number - 1)
+        squares = len(np.unique(at @ [1, number[0]]))
+        if 2 * len(seeds) <= squares:
+            warn(
+                f"{name}: too few seeds of the ground, {len(seeds)} for {squares} squares of {filter_.WINDOW}={size:g} m that "
+                "hold points, each of which should have one: much ground may be lost; loosen the limits that seeds must keep, "
+                "or use the default"
+            )
+    return seeds
 
 
 def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
