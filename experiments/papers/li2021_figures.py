@@ -19,7 +19,7 @@ from jaxfilter.core.grid import Grid
 if TYPE_CHECKING:
     import xarray
 
-SHOWN = ("12", "61", "24", "53")
+SHOWN = {"12": "Fig. 9", "61": "Fig. 10", "24": "Fig. 11", "53": "Fig. 12"}
 """Samples of Figs. 9 to 12."""
 INK, SEED, SEED_PTD = "#1b4965", "#D55E00", "#0072B2"
 
@@ -78,7 +78,7 @@ def time_against_points(rows: Sequence[Row], path: Path, dpi: int) -> None:
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True)
     printed = samples.published("li2021_table3")
-    for ax, title, table in ((panels[0], "this library", rows), (panels[1], "Li et al. (2021)", printed)):
+    for ax, title, table in ((panels[0], "this library, CPU seconds", rows), (panels[1], "Li et al. (2021)", printed)):
         points, seconds = np.array([r["points"] for r in table]), np.array([r["seconds"] for r in table])
         slope, intercept, r2 = time_fit(points, seconds)
         line = np.array([0.0, points.max() * 1.05])
