@@ -98,7 +98,7 @@ def test_ptd_with_a_static_border_reproduces_table_four(sample):
     samples = {s: sample(s, own_corner=True) for s in SAMPLES}
     table = scores(samples, lambda s: jf.PTD.preset(CLASSES[s], refresh_border=False))
     off = np.abs([table[s].total - printed for s, printed in zip(SAMPLES, PTD_PRINTED, strict=True)])
-    assert np.median(off) < 0.6 and (off < 0.75).sum() >= 10  # s24 and s41 hang on two seeds each
+    assert np.median(off) <= 0.25 and (off < 0.75).sum() >= 10  # s24 and s41 hang on two seeds each
 
 
 @pytest.mark.slow

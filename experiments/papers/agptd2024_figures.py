@@ -1,4 +1,4 @@
-"""The pictures: Figs. 5, 7, 8, 10 and 11 of Zheng et al. (2024), and the trial and error of Sec. 3.3, from our results."""
+"""The pictures: Figs. 5 to 11 of Zheng et al. (2024), and the trial and error of Sec. 3.3, from our results."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ SCALE = (0.0, 5.0)
 PRINTED, MEASURED, BY_LABELS = "0.6", "#0072B2", "#E69F00"
 
 
-def error_bars(bars: Mapping[str, Sequence[float]], names: Sequence[str]) -> Figure:
-    """Total errors per sample, a bar for each label of ``bars``."""
+def sample_bars(bars: Mapping[str, Sequence[float]], names: Sequence[str], what: str) -> Figure:
+    """A bar for each label of ``bars`` per sample; ``what``: the axis. Fig. 6, and total errors."""
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots()
     for i, (label, values) in enumerate(bars.items()):
         axes.bar(np.arange(len(names)) + 0.16 * (i - 2), values, 0.15, label=label, color=f"C{i}")
     axes.set_xticks(range(len(names)), [name.removeprefix("samp") for name in names])
-    axes.set(xlabel="sample", ylabel="total error (%)")
+    axes.set(xlabel="sample", ylabel=what)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
@@ -97,11 +97,11 @@ def densified(name: str, cloud: jf.PointCloud, results: Mapping[str, jf.FilterRe
 
 
 def every_sample(clouds: Mapping[str, jf.PointCloud], results: Mapping[str, Mapping[str, jf.FilterResult]]) -> Figure:
-    """Fig. 9: error maps of all samples, three samples in a row, the results of each side by side."""
+    """Fig. 9: error maps of all samples, two samples in a row, the results of each side by side."""
     each = len(next(iter(results.values())))
-    rows = -(-len(clouds) // 3)
-    figure = Figure(figsize=(2.3 * 3 * each, 2.5 * rows), layout="constrained")
-    panels = iter(figure.subplots(rows, 3 * each, squeeze=False).ravel())
+    rows = -(-len(clouds) // 2)
+    figure = Figure(figsize=(2.3 * 2 * each, 2.5 * rows), layout="constrained")
+    panels = iter(figure.subplots(rows, 2 * each, squeeze=False).ravel())
     for name, cloud in clouds.items():
         surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
         for title, result in results[name].items():

@@ -19,7 +19,7 @@ from jaxfilter.core.grid import Grid
 if TYPE_CHECKING:
     import xarray
 
-SHOWN = ("12", "61", "24", "53")
+SHOWN = {"12": "Fig. 9", "61": "Fig. 10", "24": "Fig. 11", "53": "Fig. 12"}
 """Samples of Figs. 9 to 12."""
 INK, SEED, SEED_PTD = "#1b4965", "#D55E00", "#0072B2"
 
@@ -73,12 +73,10 @@ def time_fit(points: Sequence[float], seconds: Sequence[float]) -> tuple[float, 
     return float(slope), float(intercept), float(1 - (residual**2).sum() / ((y - y.mean()) ** 2).sum())
 
 
-def time_against_points(rows: Sequence[Row], path: Path, dpi: int) -> None:
-    """Fig. 7: seconds against number of points with a linear fit, measured and printed; a panel each, for their scales."""
-    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
-    panels = figure.subplots(1, 2, sharex=True)
-    printed = samples.published("li2021_table3")
-    for ax, title, table in ((panels[0], "this library", rows), (panels[1], "Li et al. (2021)", printed)):
+def time_against_points(tables: Mapping[str, Sequence[Row]], path: Path, dpi: int) -> None:
+    """Fig. 7: ``seconds`` against number of ``points`` of each ``site`` with a line; a panel per title of ``tables``."""
+    figure = Figure(figsize=(3.5 * len(tables), 3.0), layout="constrained")
+    for ax, (title, table) in zip(figure.subplots(1, len(tables)), tables.items(), strict=True):
         points, seconds = np.array([r["points"] for r in table]), np.array([r["seconds"] for r in table])
         slope, intercept, r2 = time_fit(points, seconds)
         line = np.array([0.0, points.max() * 1.05])
@@ -100,11 +98,12 @@ def time_against_points(rows: Sequence[Row], path: Path, dpi: int) -> None:
                 textcoords="offset points",
                 **place,
             )
-        ax.set(title=title, xlabel="points (thousands)", ylabel="seconds", ylim=(0, seconds.max() * 1.15))
+        ax.set(
+            title=title, xlabel="points (thousands)", ylabel="seconds", xlim=(0, None), ylim=(0, seconds.max() * 1.3)
+        )
         ax.title.set_fontsize(10)
         ax.legend(frameon=False, fontsize=7, loc="upper left")
         ax.spines[["top", "right"]].set_visible(False)
-    panels[0].set_xlim(0, None)
     save_png(figure, path, dpi)
 
 

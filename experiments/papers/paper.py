@@ -62,6 +62,33 @@ def clouds(
         yield f"samp{number}", jf.read(samples.sample_path(folder, number))
 
 
+def from_corner(options: argparse.Namespace, name: str, cloud: jf.PointCloud) -> jf.PointCloud:
+    """The sample of :func:`clouds` with grids that count from its lower left point, as in the papers that say where."""
+    path = samples.sample_path(samples.data_folder(options.data), name.removeprefix("samp"))
+    return jf.read(path, anchor=cloud.coordinates()[:, :2].min(axis=0))
+
+
+def clocked(
+    filter_: jf.Filter, cloud: jf.PointCloud, repeats: int, workers: int | None = None
+) -> tuple[jf.FilterResult, list[float], list[float]]:
+    """The result, and the CPU and the wall seconds of each of ``repeats`` calls after a first one.
+
+    CPU seconds are those of all threads of this process, so that other work on the machine does not count.
+    """
+    result, cpu, wall = filter_(cloud, workers=workers), [], []
+    for _ in range(repeats):
+        start = time.process_time(), time.perf_counter()
+        filter_(cloud, workers=workers)
+        cpu.append(time.process_time() - start[0])
+        wall.append(time.perf_counter() - start[1])
+    return result, cpu, wall
+
+
+def agreed(found: Sequence[bool]) -> bool | None:
+    """What all repetitions say, or None."""
+    return found[0] if len(set(found)) == 1 else None
+
+
 def score_row(
     sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 1
 ) -> tuple[Row, jf.FilterResult]:

@@ -36,7 +36,8 @@ class AGPTD(OutlierRadius, OutlierFate, PTD):
     has the printed grid for urban points, with the medians of the angles and distances of Table 1.
 
     Departures (docs/filters/agptd.md): seed cells smaller than buildings, as printed, need a cloud without roofs, which the
-    outlier tests of the paper cannot provide; removed outliers are tested again instead of being lost; the elevation test
+    outlier tests of the paper cannot provide; cells count from the anchor of the cloud, zero by default, not from its lower
+    left point; removed outliers are tested again instead of being lost; the elevation test
     compares metres with square metres and is replaced; the terrain slope is the largest mean slope of a cell, and
     ``max_terrain_angle`` its upper limit.
 
@@ -85,8 +86,9 @@ class AGPTD(OutlierRadius, OutlierFate, PTD):
             "the default: seed cells as large as the largest building, clusters of low points are barred"
         ),
         "paper": Preset(
-            "as printed for urban points with the medians of Table 1, except that the test of elevations is replaced, whose "
-            "formula has no unit, and that num = 4 and a relative slope of 0.06 are not printed",
+            "as printed for urban points with the medians of Table 1, except that grids begin at zero of the coordinates, not at "
+            "the lower left point, that the test of elevations is replaced, whose formula has no unit, and that num = 4 and a "
+            "relative slope of 0.06 are not printed",
             remainder="own_cells",
             terrain_angle="steepest_cell",
             neighbours=4,

@@ -38,9 +38,10 @@ class FPTD(OutlierRadius, VertexSpacing):
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.
 
-    Departures (docs/filters/fptd.md), in "paper" too: removed outliers are tested again instead of being lost; the limit of
-    step 1 of II-E follows the growing ground, in which form it never rejects a point that the elevation test would accept.
-    Taken literally, both would make the errors of Table IV impossible.
+    Departures (docs/filters/fptd.md), in "paper" too: windows count from the anchor of the cloud, zero by default, not from its
+    lower left point; removed outliers are tested again instead of being lost; the limit of step 1 of II-E follows the growing
+    ground, in which form it never rejects a point that the elevation test would accept. Taken literally, the last two would
+    make the errors of Table IV impossible.
 
     >>> filter_ = jf.FPTD.preset("D1", max_elevation=1.0)
     >>> result = filter_(cloud)
@@ -71,8 +72,9 @@ class FPTD(OutlierRadius, VertexSpacing):
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: one triangulation, clusters of low points barred from the seeds"),
         "paper": Preset(
-            "as printed, except that removed points are tested again and the limit of step 1 follows the ground, as "
-            "Table IV implies, and that nothing takes the place of manual removal",
+            "as printed, except that grids begin at zero of the coordinates, not at the lower left point, that removed points "
+            "are tested again and the limit of step 1 follows the ground, as Table IV implies, and that nothing takes the place "
+            "of manual removal",
             blocks="independent",
             radius=5.0,
             low_clusters=False,

@@ -31,8 +31,8 @@ class PTD(TerrainAngle):
 
     Presets: "recommended" is the default; it bars clusters of low points from the seeds and lets the simulated border
     points follow the growing ground. "paper" is the plain method with neither. "D1" to "D4" take the thresholds of Li et al.
-    (2021), Table I, with e as the distance, for the comparison in their Table IV: they print no values for PTD, and these,
-    with ``refresh_border=False``, come within one point of total error on two thirds of its rows.
+    (2021), Table I, with e as the distance, for the comparison in their Table IV: they print no values for PTD, and these come
+    closest to it with ``refresh_border=False`` on clouds whose anchor is their lower left point (docs/filters/ptd.md).
 
     All points that pass in a round are added together (docs/fidelity.md has figures of other ways).
 
@@ -60,8 +60,9 @@ class PTD(TerrainAngle):
             "the default: clusters of low points are barred from the seeds, border points follow the ground"
         ),
         "paper": Preset(
-            "as reported by those who compare with it, except that the border points are those of Li et al. (2021) and "
-            "that facets are divided whatever the length of their edges",
+            "as reported by those who compare with it, except that grids begin at zero of the coordinates, not at the lower "
+            "left point, that the border points are those of Li et al. (2021) and that facets are divided whatever the length "
+            "of their edges",
             low_clusters=False,
             refresh_border=False,
         ),
