@@ -155,10 +155,9 @@ def single(rule: Any) -> Any:
 
 def loosened(new: Any, old: Any) -> bool:
     """Whether any limit of a rule is larger than before; of a rule of another type, whether any limit has changed."""
-    if jax.tree.structure(new) != jax.tree.structure(old):
-        return True
+    (limits, kind), (before, kind_before) = map(jax.tree.flatten, (new, old))
     looser = np.greater if type(new) is Rule else np.not_equal
-    return any(looser(*limits).any() for limits in zip(jax.tree.leaves(new), jax.tree.leaves(old), strict=True))
+    return kind != kind_before or any(looser(*pair).any() for pair in zip(limits, before, strict=True))
 
 
 def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
