@@ -1,4 +1,8 @@
-"""Operations on points on the host, of which kernels of one's own take the arrays (docs/arrays.md has an example)."""
+"""Operations on points on the host, of which kernels of one's own take the arrays (docs/arrays.md has an example).
+
+>>> jf.ops.delaunay(np.random.default_rng(0).random((1000, 3))).neighbours.shape[1]
+3
+"""
 
 from __future__ import annotations
 

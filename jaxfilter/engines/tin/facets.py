@@ -157,7 +157,9 @@ def loosened(new: Any, old: Any) -> bool:
     """Whether any limit of a rule is larger than before; of a rule of another type, whether any limit has changed."""
     (limits, kind), (before, kind_before) = map(jax.tree.flatten, (new, old))
     looser = np.greater if type(new) is Rule else np.not_equal
-    return kind != kind_before or any(looser(*pair).any() for pair in zip(limits, before, strict=True))
+    if kind != kind_before:  # type: ignore[operator]
+        return True
+    return any(looser(*pair).any() for pair in zip(limits, before, strict=True))
 
 
 def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
