@@ -32,7 +32,6 @@ from sybil.parsers.markdown import CodeBlockParser
 ROOT = Path(__file__).resolve().parent
 
 NOT_RUN = {
-    ("docs/adding_a_filter.md", '"""Top hat'): "tests/test_docs.py runs it as a file, since it registers a filter",
     (
         "docs/sweeps.md",
         "study = jf.Study(",
@@ -192,9 +191,11 @@ def setup(namespace: dict[str, Any]) -> None:
 
 
 def teardown(namespace: dict[str, Any]) -> None:
-    """After a page."""
+    """After a page, whose filters are forgotten."""
     os.chdir(namespace["_before"])
     namespace["_folder"].cleanup()
+    if "jf" in namespace:
+        namespace["jf"].FILTERS.data = namespace["_filters"]
 
 
 def page(example: Example) -> str:
@@ -219,6 +220,7 @@ def run_python(example: Example) -> None:
         return
     if "jf" not in names:
         names.update(in_demo(Path.cwd()) if name == "README.md" else in_small(Path.cwd()))
+        names["_filters"] = dict(names["jf"].FILTERS.data)
     if name == "README.md" and "import jaxfilter" not in source:
         names.update(names["small"])
     for whole, part in CHANGED.items():
@@ -226,7 +228,7 @@ def run_python(example: Example) -> None:
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), warnings.catch_warnings():
         warnings.simplefilter("error" if name == "README.md" else "ignore", JaxfilterWarning)
-        exec(compile(code, name, "exec"), names)
+        exec(compile(code, name, "exec", dont_inherit=True), names)
     names["_said"] = printed.getvalue()
 
 

@@ -12,7 +12,7 @@ from .core.version import __version__ as __version__
 from .methods import __all__ as METHODS
 
 if TYPE_CHECKING:
-    from . import datasets, plots, scenes
+    from . import datasets, ops, plots, scenes
     from .core.cloud import PointCloud
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
@@ -73,7 +73,7 @@ __all__ = [
     "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "Scores", "Status",
     "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm",
     "citation", "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm",
-    "dtm_rmse", "evaluate", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
+    "dtm_rmse", "evaluate", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "ops", "plots", "products",
     "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
 __all__ += METHODS

@@ -1,12 +1,17 @@
 """The facet kernel by hand. Its labels, heights and angles against plain float64 geometry: test_densify.py."""
 
+from collections import namedtuple
 from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+import jaxfilter as jf
 from jaxfilter.core.result import Decision
-from jaxfilter.engines.tin.facets import FacetScore, Rule, judge, mirrored
+from jaxfilter.engines.tin.facets import FacetScore, Rule, judge, loosened, mirrored, single
+
+Own = namedtuple("Own", "far steep")
 
 
 def run(rule, points, facets, two_sided=False):
@@ -37,6 +42,19 @@ def test_facets_without_a_plane_accept_nothing_and_give_finite_numbers():
     v = run(Rule(), point, np.stack([vertical, line]))
     assert not np.asarray(v.accepted).any()
     assert all(np.isfinite(getattr(v, name)).all() for name in FacetScore._fields)
+
+
+@pytest.mark.parametrize("rule", [SimpleNamespace(far=1.0), lambda s, two_sided: s.planar, Rule(max_angle="steep")])
+def test_what_is_no_rule_is_refused_with_what_one_is(rule):
+    with pytest.raises(jf.ParameterError, match=rf"^rule: {type(rule).__name__}: make it a NamedTuple.*verdict"):
+        single(rule)
+
+
+def test_a_rule_of_users_is_loosened_whenever_a_limit_changes():
+    assert loosened(single(Rule(max_angle=6)), single(Rule(max_angle=5)))
+    assert not loosened(single(Rule(max_angle=5)), single(Rule(max_angle=6)))
+    own = [Own(np.float32(far), np.float32([3.0, steep])) for far, steep in ((1.0, 2.0), (1.0, 1.5), (1.0, 1.5))]
+    assert loosened(own[1], own[0]) and not loosened(own[2], own[1]) and loosened(own[0], Rule())
 
 
 def test_a_point_on_a_vertex_has_angle_zero():

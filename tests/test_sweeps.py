@@ -21,7 +21,8 @@ from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
 from jaxfilter.engines.tin.facets import Rule, Verdict
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Vertices
+from jaxfilter.engines.tin.growth import Adaptive, Beyond, Growth, Vertices
+from jaxfilter.engines.tin.network import one_network
 from jaxfilter.methods import ost
 
 
@@ -431,11 +432,23 @@ def by_node(self, network):
     return Rule(self.max_angle, max_distance=far)
 
 
+class Counted(NamedTuple):
+    """Numbers where the package's rule has bool and uint8."""
+
+    max_distance: Any
+    max_angle: Any
+
+    def verdict(self, s, two_sided):
+        found = Swapped.verdict(self, s, two_sided)
+        return found._replace(accepted=found.accepted.astype(float), decision=found.decision.astype(int))
+
+
 RULES = {
     "vars": lambda self, network: Rule(vars(self)["max_angle"], jnp.inf, vars(self)["max_distance"]),
     "nested": lambda self, network: Nested(Limits(self.max_distance, self.max_angle)),
     "swapped": lambda self, network: Swapped(self.max_distance, self.max_angle),
     "by node": by_node,
+    "counted": lambda self, network: Counted(self.max_distance, self.max_angle),
 }
 
 
@@ -448,6 +461,22 @@ def with_rule(rule):
 
 def with_vertices(self, network):
     return dataclasses.replace(jf.PTD.growth(self, network), vertices=Vertices(self.max_distance, stop_share=0.02))
+
+
+def following(self, network):
+    def limits(distance, angle):
+        return Nested(Limits(self.max_distance * 5 * np.median(distance), self.max_angle))
+
+    return Growth(Nested(Limits(self.max_distance, self.max_angle)), adaptive=Adaptive(limits))
+
+
+def beyond(self, network):
+    slope = np.full(len(network.xyz), 0.3, np.float32)
+    return Growth(Swapped(self.max_distance, self.max_angle), beyond=Beyond(0.3, slope))
+
+
+def without_border(self, points, seeds, outliers):
+    return one_network(points, seeds, np.zeros((0, 2)), outliers)
 
 
 def start_by(seed_cell):
@@ -477,6 +506,8 @@ def cells_by_threshold(self, points, barred=None):
 
 USERS = {
     **{f"a rule, {name}": (jf.PTD(seed_cell=30.0), with_rule(rule)) for name, rule in RULES.items()},
+    "limits that follow": (jf.PTD(seed_cell=30.0), {"growth": following}),
+    "limits beyond the hull": (jf.PTD(seed_cell=30.0), {"growth": beyond, "network": without_border}),
     "vertices by a limit": (jf.PTD(seed_cell=30.0), {"growth": with_vertices}),
     "seeds by a limit": (jf.PTD(), start_by(lambda one: 15.0 + 20.0 * one.max_distance)),
     "seeds by a limit now and then": (jf.PTD(), start_by(lambda one: 50.0 * (one.max_angle > 5 and one.max_distance) + 9)),

@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
         f'CPU seconds of all threads, median of {REPEATS} calls after a first one; "first call" is with compilation. Each row '
         "and library has a process of its own. A cell is empty where the library has no such operation. The last column counts "
         "the cells in which a library differs from jaxfilter by more than 1e-4: other rules of borders, of equally near cells, "
-        "and of when an iteration ends.",
+        "and of when an iteration ends. Of triangulations it counts the points that are corners of more or fewer triangles.",
         markdown(columns, rows),
         *([f"Not installed, so left out: {', '.join(missing)}."] if missing else []),
     ]
@@ -92,7 +92,8 @@ def measured(operation: str, who: str, millions: float) -> dict[str, Any]:
     out: dict[str, Any] = {who: statistics.median(later)}
     if who == "jaxfilter":
         return out | {"jaxfilter_first": first}
-    own = np.asarray(makers["jaxfilter"](data)()).reshape(found.shape)
+    compared = COMPARED.get(operation, lambda values: values.reshape(found.shape))
+    found, own = compared(found), compared(np.asarray(makers["jaxfilter"](data)()))
     differ = int((~np.isclose(found, own, atol=1e-4, rtol=0, equal_nan=True)).sum())
     return out | ({"differ": f"{who} {differ:,}"} if differ else {})
 
@@ -240,6 +241,44 @@ def _numpy_planes(data: dict[str, Any]) -> Call:
     return call
 
 
+def _scattered(data: dict[str, Any]) -> Any:
+    """f64[n, 3]: as many points as there are cells, in no order."""
+    rng, count = np.random.default_rng(3), data["side"] ** 2
+    return rng.random((count, 3)) * [data["side"], data["side"], 5]
+
+
+def _own_delaunay(data: dict[str, Any]) -> Call:
+    import jaxfilter as jf
+
+    xyz = _scattered(data)
+    return lambda: jf.ops.delaunay(xyz).triangles
+
+
+def _bare_delaunay(data: dict[str, Any]) -> Call:
+    """The engine alone, of positions that are sorted."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from jaxfilter.core.points import morton
+    from jaxfilter.engines.tin.triangulation import Tin
+
+    xyz = np.float32(np.rint(_scattered(data) * 1024) / 1024)
+    xyz = xyz[np.unique(morton(xyz), return_index=True)[1]]
+    sheet, every = np.zeros(len(xyz), np.int32), np.arange(len(xyz))
+
+    def call() -> Any:
+        with ThreadPoolExecutor(1) as pool:
+            return Tin(xyz, sheet, every, pool).triangles
+
+    return call
+
+
+def _scipy_delaunay(data: dict[str, Any]) -> Call:
+    from scipy.spatial import Delaunay
+
+    xy = np.ascontiguousarray(_scattered(data)[:, :2])
+    return lambda: Delaunay(xy).simplices
+
+
 def _facet_parts(data: dict[str, Any]) -> tuple[Any, Any]:
     rng, count = np.random.default_rng(2), data["side"] ** 2
     corners = np.stack([rng.random((3, count)), rng.random((3, count)), rng.random((3, count))], axis=1)
@@ -279,10 +318,14 @@ OPERATIONS: dict[str, tuple[str, dict[str, Callable[[dict[str, Any]], Call]]]] =
     "minima": ("lowest of a point per cell, cells of 2 x 2", {"jaxfilter": _own_minima, "NumPy": _numpy_minima}),
     "nearest": ("30 % filled with the nearest", {"jaxfilter": _own_nearest, "SciPy": _scipy_nearest}),
     "membrane": ("30 % filled by a membrane, to 1e-5", {"jaxfilter": _own_membrane, "SciPy": _scipy_membrane}),
+    "delaunay": ("a triangulation, a point per cell", {"jaxfilter": _own_delaunay, "SciPy": _scipy_delaunay}),
+    "engine": ("the same by the bare engine, of sorted points", {"jaxfilter": _bare_delaunay}),
     "facets": ("a point and its facet per cell", {"jaxfilter": _own_facets, "NumPy": _numpy_facets}),
     "planes": ("a plane through 8 to 16 points per 16 cells", {"jaxfilter": _own_planes, "NumPy": _numpy_planes}),
 }
 """What is measured, and how each library does it."""
+COMPARED = {"delaunay": lambda triangles: np.bincount(triangles.ravel())}
+"""What is compared in place of the values: here how many triangles each point has."""
 
 
 if __name__ == "__main__":

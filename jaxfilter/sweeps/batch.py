@@ -38,7 +38,9 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     """
     filter_ = check_filter(filter_)
     if not isinstance(filter_, GridFilter):
-        raise ParameterError(f"batch: {type(filter_).__name__}: methods on a grid take batches: SMRF, PMF, MSF")
+        raise ParameterError(
+            f"batch: {type(filter_).__name__}: methods on a grid take batches (SMRF, PMF, MSF); use jf.sweep"
+        )
     check_whole(blocks=blocks)
     several, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None

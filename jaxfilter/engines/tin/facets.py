@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...core.arrays import operation, takes
+from ...core.errors import ParameterError
 from ...core.result import Decision
 
 _FLAT_AREA = 1e-6
@@ -144,8 +145,21 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
 
 
 def single(rule: Any) -> Any:
-    """A rule, a pytree of limits, with its limits in single precision: f32 each."""
-    return jax.tree.map(np.float32, rule)
+    """A rule, a pytree of limits, with its limits in single precision: f32 each. Raises: ParameterError for what is none."""
+    try:
+        return jax.tree.map(np.float32, rule)
+    except (TypeError, ValueError) as error:
+        wanted = "make it a NamedTuple of numbers, of arrays with a number for each node, or of such tuples"
+        raise ParameterError(f"rule: {type(rule).__name__}: {wanted}, with a method verdict ({error})") from error
+
+
+def loosened(new: Any, old: Any) -> bool:
+    """Whether any limit of a rule is larger than before; of a rule of another type, whether any limit has changed."""
+    (limits, kind), (before, kind_before) = map(jax.tree.flatten, (new, old))
+    looser = np.greater if type(new) is Rule else np.not_equal
+    if kind != kind_before:  # type: ignore[operator]
+        return True
+    return any(looser(*pair).any() for pair in zip(limits, before, strict=True))
 
 
 def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
@@ -167,7 +181,7 @@ def _scores(points: jax.Array, corners: jax.Array) -> FacetScore:
 def _verdicts(rule: Any, scores: FacetScore, two_sided: jax.Array) -> Verdict:
     each = jax.tree.map(lambda limit: 0 if jnp.ndim(limit) > 0 else None, rule)
     found: Verdict = jax.vmap(lambda one, *of: one.verdict(*of), in_axes=(each, 0, 0))(rule, scores, two_sided)
-    return found
+    return found._replace(accepted=found.accepted.astype(bool), decision=found.decision.astype(jnp.uint8))
 
 
 @takes(two_sided="bool[n]", points="f32?[3, n]", corners="f32?[3, 3, n]")

@@ -24,7 +24,7 @@ from ...core.result import Decision
 from ..chunks import in_chunks
 from ..grid.sparse import merged
 from ..ground import GroundNodes
-from .facets import judge, mirrored, of_nodes, single
+from .facets import judge, loosened, mirrored, of_nodes, single
 from .growth import KEPT_QUANTITIES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
@@ -130,14 +130,15 @@ class GroundTin(GroundNodes):
         few = len(accepted) + len(self._put_off) < least
         found: dict[str, Any] = {"inserted": inserted, "facets": len(self.tin)}
         if self.growth.adaptive is not None:
-            found |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
+            known = [name for name in ("max_distance", "max_angle") if np.ndim(getattr(self.rule, name, [])) == 0]
+            found |= {name: float(getattr(self.rule, name)) for name in known}
         if isinstance(choice, LowestPerCell):
             found |= {"cell": choice.cell, "stage": self._stage, "enough": not few}
         self.left, self._within = self.left - len(accepted), self._within + 1
-        loosened = self._adapt(of_ground=False)
-        self._again(loosened)
+        looser = self._adapt(of_ground=False)
+        self._again(looser)
         ends = few if policy.rounds is None else self._within >= policy.rounds[self._stage]
-        while (ends or len(self.todo) == 0) and self._next_stage(loosened):
+        while (ends or len(self.todo) == 0) and self._next_stage(looser):
             ends = False
         return found
 
@@ -149,13 +150,13 @@ class GroundTin(GroundNodes):
         self.tin.remove(nodes)
         self._again()
 
-    def _next_stage(self, loosened: bool) -> bool:
+    def _next_stage(self, looser: bool) -> bool:
         """Go on to the next grid of vertices, and at last to the suspected low outliers; False if there is none of these."""
         self._stage, self._within = self._stage + 1, 0
         if self.choice.finer:
             self.choice.refine(self.ground, self.tin)
-            loosened |= self._adapt(of_ground=True)
-            self._again(loosened)
+            looser |= self._adapt(of_ground=True)
+            self._again(looser)
             return True
         self.todo, self._suspects = self._suspects, self._suspects[:0]
         self._open[self.todo], self.left = True, self.left + len(self.todo)
@@ -201,7 +202,7 @@ class GroundTin(GroundNodes):
         if len(found["distance"]) == 0:
             return False
         before, self.rule = self.rule, single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
-        return any(float(new) > float(old) for new, old in zip(self.rule, before, strict=True))
+        return loosened(self.rule, before)
 
     def _over_ground(self) -> dict[str, np.ndarray]:
         """Quantities of the ground points that are no vertices, in their facets."""
@@ -274,7 +275,9 @@ class GroundTin(GroundNodes):
         away = np.hypot(x, y)
         margin = np.abs(z) - beyond.height - beyond.slope[nodes] * away
         far = margin > 0
-        out[rows], self.margin[nodes[far]] = far, np.fmax(self.margin[nodes[far]], margin[far])
+        out[rows] = far
+        if "margin" in self.growth.kept:
+            self.margin[nodes[far]] = np.fmax(self.margin[nodes[far]], margin[far])
         return out
 
     def _mirror(

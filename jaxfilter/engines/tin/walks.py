@@ -248,6 +248,22 @@ def corners(triangles, neighbours, rows, out):
 
 
 @compiled
+def compact(triangles, neighbours, rows, number, out, beside):
+    """Write the triangles that are no ghosts by the ``rows``, i32[k], of their nodes, and their neighbours, -1 beyond the hull,
+    i32[f, 3] each; to ``number``, i32[t], which of these each triangle is, -1 for ghosts."""
+    count = 0
+    for t in range(len(triangles)):
+        number[t] = -1 if is_ghost(triangles, t) else count
+        if number[t] >= 0:
+            for k in range(3):
+                out[count, k] = rows[np.uint32(triangles[t, k])]
+            count += 1
+    for t in range(len(triangles)):
+        for k in range(3 if number[t] >= 0 else 0):
+            beside[np.uint32(number[t]), k] = number[np.uint32(neighbours[t, k])]
+
+
+@compiled
 def planes(xyz, triangles, neighbours, rows, out):
     """The positions of these corners, f32[3, 3, n]: by corners, then axes."""
     for i in range(len(rows)):
