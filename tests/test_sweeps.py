@@ -101,6 +101,7 @@ SLOPES = np.random.default_rng(2).uniform(0.04, 0.5, 21).tolist()
     case(jf.STIN(seed_cell=30.0), max_angle=(30.0, 18.0)),
     case(jf.IPTD(window=30.0, max_distance=0.05), noise_floor=(0.0, 0.3), max_angle=(30.0, 1.0)),
     case(jf.CSF(), threshold=(0.5, 0.3)),
+    case(jf.OST(window=15.0), slope=(0.05, 0.3), roof_drop=(0.6, 1.8)),
     case(jf.PPDF(), slow=True, buffer=(0.3, 0.2)),
 ])  # fmt: skip
 def test_sets_have_the_labels_of_single_runs(sets, hills):

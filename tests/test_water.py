@@ -17,9 +17,8 @@ VALLEY = np.where(abs(COLUMNS - 50) < 15, np.float32(-5), np.float32(0))
 def crossed(z: np.ndarray, inside: np.ndarray, objects: np.ndarray, points: np.ndarray | int = 4) -> Crossed:
     """What is found in a surface with ``points`` in each cell."""
     seen, points = np.ones(z.shape, bool), np.broadcast_to(points, z.shape)
-    return CrossingsRule().find(
-        LowestSurface(z.astype(np.float32), seen, inside, objects, points, np.float32(0)), SIZES
-    )
+    rule, surface = CrossingsRule(), LowestSurface(z.astype(np.float32), seen, inside, points)
+    return rule.find(rule.flanks(surface, SIZES), objects, np.float32(0))
 
 
 def found(z: np.ndarray) -> np.ndarray:

@@ -17,10 +17,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.isprs import samples
-from experiments.report import Column, Row, markdown
+from experiments.isprs import samples, spaces
+from experiments.report import Column, Row, markdown, write_csv
 from experiments.sensitivity.study import Study
+from jaxfilter.core.params import declared
 from jaxfilter.sweeps.design import make_design
+from jaxfilter.sweeps.ranges import RANGES, Range, around, search_ranges
 
 SMRF_GRID = {
     "slope": np.linspace(0.05, 0.4, 8).tolist(),
@@ -47,12 +49,27 @@ COLUMNS: list[Column] = [
     ("ratio", "times faster", ".1f"), ("pool", "pool, s", ".2f"), ("pool_ratio", "times faster", ".1f"),
     ("difference", "difference", ".4f"),
 ]  # fmt: skip
+SETS, EVERY = 40, 4
+DESIGNS = {"searched": ("12",), "all": ("21", "31", "52")}
+"""Samples by design: fields that a calibration searches, or all traced fields that have a range."""
+DESIGN_COLUMNS: list[Column] = [
+    ("method", "method", ""), ("searched", "searched", ".2f"), ("searched_first", "first", ".2f"),
+    ("searched_cpu", "CPU s", ".1f"), ("all", "all fields", ".2f"), ("all_first", "first", ".2f"), ("all_cpu", "CPU s", ".1f"),
+]  # fmt: skip
 _CLOUD: jf.PointCloud | None = None
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure what is asked for and write the tables."""
     study = Study("speed", __doc__, arguments, repeats=3)
+    designs: list[Row] = []
+    for name in spaces.method_names():
+        designs.append({"method": name.upper()})
+        for design in DESIGNS:  # each in a process of its own, since the first sweep imports and compiles
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+                designs[-1] |= pool.submit(by_design, name, design, study.folder).result()
+        print(designs[-1], flush=True)
+        write_csv(study.options.out / "designs.csv", designs)
     rows = []
     for number, name, *task in TASKS:
         found = measured(samples.sample_path(study.folder, number), study.options.repeats, *task)
@@ -64,8 +81,51 @@ def main(arguments: list[str] | None = None) -> None:
         "cores, and warm. The pool has two warm processes of one thread each. First = the first sweep of its kind in the "
         "process, compilation included. Difference = largest between the total errors of a set in the sweep and alone, points.",
         markdown(COLUMNS, rows),
+        f"## {SETS} random sets of each method",
+        "CPU seconds of a warm sweep for each CPU second of the same sets in warm single calls. Searched: random "
+        "values of the fields that a calibration searches, on samp12. All fields: of all traced fields that have a range, on "
+        "samp21, samp31 and samp52. First: the same for the first sweep of each cloud in a new process, with what it imports "
+        f"and compiles. Every {EVERY}th set is called alone, and its time stands for {EVERY} sets.",
+        markdown(DESIGN_COLUMNS, designs),
     ]
     study.write("speed", text, rows)
+
+
+def by_design(method: str, design: str, folder: Path) -> Row:
+    """CPU seconds of sweeps, by those of single calls. As many points are ground in sets that are called alone."""
+    first = warm = single = 0.0
+    for number in DESIGNS[design]:
+        cloud = jf.read(samples.sample_path(folder, number))
+        filter_ = jf.FILTERS[method].for_cloud(cloud)
+        axes = drawn(search_ranges(filter_) if design == "searched" else every_range(filter_))
+        some = range(0, SETS, EVERY)
+        alone = [filter_.replace(**{name: values[k] for name, values in axes.items()}) for k in some]
+        _, cold = used(jf.sweep, filter_, cloud, axes, design="list")
+        swept, again = used(jf.sweep, filter_, cloud, axes, design="list")
+        alone[0](cloud)
+        ground, singly = used(lambda sets, cloud: [int(one(cloud).ground.sum()) for one in sets], alone, cloud)
+        assert ground == swept.ground.values[some].tolist(), (method, design, number)
+        first, warm, single = first + cold, warm + again, single + EVERY * singly
+    return {design: warm / single, f"{design}_first": first / single, f"{design}_cpu": single}
+
+
+def every_range(filter_: jf.Filter) -> dict[str, Range]:
+    """The range of each traced field that has one."""
+    found = {one.name: RANGES.get(one.name) or around(one) for one in declared(filter_) if not one.metadata["static"]}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def drawn(ranges: dict[str, Range]) -> dict[str, list[float]]:
+    """A random value of each field for every set."""
+    rng = np.random.default_rng(5)
+    return {name: [one.at(u) for u in rng.random(SETS)] for name, one in ranges.items()}
+
+
+def used(function: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:
+    """What it returns, and the seconds of the processor that it takes."""
+    start = time.process_time()
+    out = function(*given, **options)
+    return out, time.process_time() - start
 
 
 def measured(path: Path, repeats: int, filter_: jf.Filter, axes: dict[str, Any], design: dict[str, Any]) -> Row:

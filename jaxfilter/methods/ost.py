@@ -217,7 +217,7 @@ class OST(Filter):
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         crowd, rules = Crowd.from_points(points), self.active()
         progress(0.0, "surface and openings")
-        scene = copy.copy(self.sloped(points if crowd is None else crowd.points, workers))
+        scene = copy.copy(self.measured(points if crowd is None else crowd.points, workers))
         scene.ost = self
         progress(0.3, "objects")
         limit = self.judge(scene, rules)
@@ -229,15 +229,16 @@ class OST(Filter):
             scene.points, scene.never, seeds = points, scene.never[crowd.own], crowd.rows[seeds]
         for rule in rules:
             rule.label(scene, labels)
+        if points.kept is not None:  # a sweep asks for no more than what is ground
+            return labels
         look = scene.objects, scene.steepest / limit, scene.slope
         in_object, drop, slope = look_up(points.xyz, scene.cells, *look)
-        if points.kept is None:  # a sweep asks for no more than what is ground
-            tolerance = self.tolerated(scene.spacing)
-            counted = slice(None) if crowd is None else crowd.rows
-            mixed = mixture(points.xyz, scene.cells, labels, counted, scene.spacing, tolerance)
-            labels.doubt = doubts(labels, residual, drop, slope, mixed, tolerance)
-            if SPARSEST * scene.spacing**2 > 1:
-                labels.info["doubt"] = SPARSE
+        tolerance = self.tolerated(scene.spacing)
+        counted = slice(None) if crowd is None else crowd.rows
+        mixed = mixture(points.xyz, scene.cells, labels, counted, scene.spacing, tolerance)
+        labels.doubt = doubts(labels, residual, drop, slope, mixed, tolerance)
+        if SPARSEST * scene.spacing**2 > 1:
+            labels.info["doubt"] = SPARSE
         other = np.where(in_object, np.uint8(Decision.SURFACE), np.uint8(Decision.ELEVATION))
         labels.decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), other)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
@@ -306,6 +307,15 @@ class OST(Filter):
         scene = copy.copy(self.segmented(points, workers))
         objects = scene.steepest > np.float32(FIRST_SLOPE * self.cell)
         scene.slope = landscape_slope(scene.z, scene.cells, objects, float(self.landscape))
+        return scene
+
+    @stage
+    def measured(self, points: Points, workers: int | None) -> OstScene:
+        """What rules measure on this surface before any cell is an object."""
+        scene = copy.copy(self.sloped(points, workers))
+        scene.ost = self
+        for rule in self.active():
+            rule.measure(scene)
         return scene
 
     def judge(self, scene: OstScene, rules: list[OstRule]) -> np.ndarray:

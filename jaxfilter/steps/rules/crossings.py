@@ -28,16 +28,14 @@ class LowestSurface(NamedTuple):
 
     Attributes:
         z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points; inside: those that the data
-            surround; objects: cells that are no ground.
-        points: i64[rows, columns], how many are in each cell. slope: f32[rows, columns], rise over run of the landscape.
+            surround.
+        points: i64[rows, columns], how many are in each cell.
     """
 
     z: np.ndarray
     seen: np.ndarray
     inside: np.ndarray
-    objects: np.ndarray
     points: np.ndarray
-    slope: np.ndarray
 
 
 class Sizes(NamedTuple):
@@ -50,6 +48,23 @@ class Sizes(NamedTuple):
     step: float
     drop: float
     area: float
+
+
+class Flanked(NamedTuple):
+    """A surface, and where it falls upright on both sides.
+
+    Attributes:
+        z: f32[rows, columns], metres, infinite where it is not known. points: i64[rows, columns], how many are in each cell.
+        sizes: lengths and areas. gap: cells within which the surface falls at an upright edge.
+        flanks: of :func:`jaxfilter.engines.grid.shapes.flanks`, [rows, columns] each; none where points are too far apart to
+            show a deck.
+    """
+
+    z: np.ndarray
+    points: np.ndarray
+    sizes: Sizes
+    gap: int
+    flanks: tuple[np.ndarray, ...]
 
 
 class Crossed(NamedTuple):
@@ -106,16 +121,17 @@ class CrossingsRule(OstRule):
     higher: float = 0.5
     """Of the rim of a body that is higher than its surface, less what is lower, at least."""
 
+    def measure(self, scene: OstScene) -> None:
+        """Where the surface falls upright on both sides."""
+        ost = scene.ost
+        surface = LowestSurface(scene.z, scene.seen, scene.inside, number_in(scene.points, scene.cells))
+        step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
+        scene.flanked = self.flanks(surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area))
+
     def seed(self, scene: OstScene) -> None:
         """What is at a deck or above, and what is above or below water, but at its shore, is never ground."""
-        ost, xyz = scene.ost, scene.points.xyz
-        surface = LowestSurface(
-            scene.z, scene.seen, scene.inside, scene.objects, number_in(scene.points, scene.cells), scene.slope
-        )
-        step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
-        scene.deck, scene.level, clear = self.find(
-            surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area)
-        )
+        xyz, step = scene.points.xyz, scene.flanked.sizes.step
+        scene.deck, scene.level, clear = self.find(scene.flanked, scene.objects, scene.slope)
         deck, level = look_up(xyz, scene.cells, scene.deck, clear)
         scene.never |= (xyz[:, 2] > deck - np.float32(step)) | (np.abs(xyz[:, 2] - level) > 2 * self.surface)
         scene.seeds = scene.seeds[~scene.never[scene.seeds]]
@@ -131,10 +147,11 @@ class CrossingsRule(OstRule):
                 cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell)
             )
 
-    def find(self, surface: LowestSurface, sizes: Sizes) -> Crossed:
-        """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
-        body are judged as a whole."""
-        z, seen, inside, objects, points, slope = surface
+    def flanks(self, surface: LowestSurface, sizes: Sizes) -> Flanked:
+        """Where a surface falls upright on both sides, with voids filled from below."""
+        from ...engines.grid.shapes import flanks  # imports Numba
+
+        z, seen, inside, points = surface
         gap = max(2, math.ceil(min(self.gap * sizes.spacing / sizes.cell, max(z.shape))))
         z = np.where(inside, z, np.float32(np.inf))
         edge = inside & ~(seen | lowest(inside, 2 * gap + 1, outside=False))  # where slim triangles go on to anywhere
@@ -148,21 +165,32 @@ class CrossingsRule(OstRule):
         reach = round(sizes.widest / 2 / sizes.cell)
         for box, own in _groups(void, reach):  # water is below what is around it
             z[box] = np.where(own, lowest(z[box], 2 * reach + 1), z[box])
-        deck = np.full(z.shape, np.nan, np.float32)
+        found: tuple[np.ndarray, ...] = ()
         if sizes.spacing <= 2 * sizes.cell:  # else most of the surface is not seen
-            deck = self._decks(z, objects, slope, gap, sizes)
-        z[~np.isnan(deck)] = np.inf
-        return Crossed(deck, *self._waters(z, objects & np.isnan(deck), points, sizes.cell))
+            found = flanks(z, gap, np.float32(sizes.widest / sizes.cell), np.float32(self.fall * sizes.drop))
+        return Flanked(z, points, sizes, gap, found)
 
-    def _decks(self, z: np.ndarray, objects: np.ndarray, slope: np.ndarray, gap: int, sizes: Sizes) -> np.ndarray:
-        """f32[rows, columns]: elevation of decks, NaN elsewhere. ``z``: infinite where it is not known; ``gap``: cells.
+    def find(self, flanked: Flanked, objects: np.ndarray, slope: np.ndarray) -> Crossed:
+        """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
+        body are judged as a whole.
+
+        ``objects``: bool[rows, columns], cells that are no ground; ``slope``: f32[rows, columns], rise over run of the landscape.
+        """
+        deck = np.full(flanked.z.shape, np.nan, np.float32)
+        if flanked.flanks:
+            deck = self._decks(flanked, objects, slope)
+        z = np.where(np.isnan(deck), flanked.z, np.float32(np.inf))
+        return Crossed(deck, *self._waters(z, objects & np.isnan(deck), flanked.points, flanked.sizes.cell))
+
+    def _decks(self, flanked: Flanked, objects: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """f32[rows, columns]: elevation of decks, NaN elsewhere.
 
         Cells beside a deck whose lowest point is beneath it hold points of its edge, and have its elevation.
         """
-        from ...engines.grid.shapes import flanks, segments  # imports Numba
+        from ...engines.grid.shapes import segments  # imports Numba
 
+        z, sizes, gap, (across, width, fall) = flanked.z, flanked.sizes, flanked.gap, flanked.flanks
         low, cell, deck = np.float32(self.fall * sizes.drop), sizes.cell, np.full(z.shape, np.nan, np.float32)
-        across, width, fall = flanks(z, gap, np.float32(sizes.widest / cell), low)
         high = fall > np.float32(sizes.drop) + np.float32(gap * cell) * slope  # the landscape explains the rest
         on = (across > 0) & highest(high, 2 * round(self.near / cell) + 1)
         part, count = segments(np.where(on, z, np.float32(np.nan)), np.float32(sizes.step), sizes.area / cell**2)

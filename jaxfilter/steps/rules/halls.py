@@ -21,10 +21,15 @@ class HallsRule(OstRule):
     """Shares of ``roof_drop`` below which steps join segments. Fewer trees beside a wall are a way down by the smaller ones;
     parts of a large building differ by the larger one."""
 
+    def measure(self, scene: OstScene) -> None:
+        """Segments over larger steps."""
+        drop = float(scene.ost.roof_drop)
+        scene.joined = [scene.segments.joined(scene.z, level * drop) for level in self.levels]
+
     def judge(self, scene: OstScene) -> None:
         one, drop, share = scene.segments, float(scene.ost.roof_drop), float(scene.ost.roof_drop_share)
         whole = scene.whole.copy()
-        for group in (one, *(one.joined(scene.z, level * drop) for level in self.levels)):
+        for group in (one, *scene.joined):
             found = group.census(scene.slope, drop, 2 * drop)
             cut, hall = found.edge > 0, found.walls >= MOST * found.border
             falls = np.where(cut, hall & (found.border >= found.edge), found.falling >= share * found.border)

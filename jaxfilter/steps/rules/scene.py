@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from ..objects import Parts
 from ..pruning import Scatter
 from ..sensors import KINDS
 from ..surfaces import Cells, lowest_cells, positions
+
+if TYPE_CHECKING:
+    from .crossings import Flanked
 
 
 @dataclasses.dataclass(eq=False)
@@ -31,6 +34,7 @@ class OstScene:
         high: f32, the highest elevation of each cell; known to the rule for steep terrain alone.
         steepest: f32, metres per cell that openings lower a cell by. segments: of ``z``.
         slope: f32, rise over run of the landscape around each cell.
+        joined: segments over larger steps; known to the rule for halls alone. flanked: to the rule for crossings alone.
         marked: bool, cells that openings take for objects. whole: bool, cells of segments that are objects as a whole.
         back: bool, cells of these that are ground all the same. rock: bool, steep ones among them.
         deck, level: f32, elevations of bridge decks and of water, metres, NaN elsewhere; known to the rule for crossings alone.
@@ -53,6 +57,8 @@ class OstScene:
     steepest: np.ndarray = dataclasses.field(init=False)
     segments: Parts = dataclasses.field(init=False)
     slope: np.ndarray = dataclasses.field(init=False)
+    joined: list[Parts] = dataclasses.field(init=False)
+    flanked: Flanked = dataclasses.field(init=False)
     marked: np.ndarray = dataclasses.field(init=False)
     whole: np.ndarray = dataclasses.field(init=False)
     back: np.ndarray = dataclasses.field(init=False)
@@ -80,7 +86,8 @@ class OstRule:
     """A rule of OST: a frozen value that holds its constants. It defines one or more of these methods; each changes the scene
     after a step. All rules take their turn at a step, in the order of :data:`jaxfilter.steps.rules.RULES`.
 
-    What ``bar`` and ``fill`` write is shared by the sets of a sweep: they replace an array, and do not write into it.
+    What ``bar``, ``fill`` and ``measure`` write is shared by the sets of a sweep: they replace an array, and do not write into
+    it.
     """
 
     SENSORS: ClassVar[tuple[str, ...]] = KINDS
@@ -91,6 +98,9 @@ class OstRule:
 
     def fill(self, scene: OstScene) -> None:
         """After the surface: change ``z``, or measure more of it."""
+
+    def measure(self, scene: OstScene) -> None:
+        """After openings and segments: measure what does not depend on which cells are objects."""
 
     def give_back(self, scene: OstScene) -> None:
         """After openings and segments, twice, since the slope of the landscape needs to know what is ground: change ``back``."""
