@@ -29,10 +29,12 @@ def cells_of(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
 def places_of(cloud: PointCloud, grid: RasterGrid) -> tuple[np.ndarray, np.ndarray]:
     """i64[n], i64[n]: column, from the west, and row, from the north, of each point, which may lie outside the grid. They follow
     from the coordinates alone, not from the corner of the cloud."""
-    factor = cloud.units.xy
-    metres = np.rint(cloud.origin[:2] * factor / SNAP) * SNAP + cloud.xyz[:, :2]
-    x, y = np.floor(metres / (grid.cell * factor)).astype(np.int64).T
-    return x - grid.left, grid.bottom + grid.rows - 1 - y
+    factor, places = cloud.units.xy, []
+    for axis in range(2):
+        metres = np.rint(cloud.origin[axis] * factor / SNAP) * SNAP + cloud.xyz[:, axis]
+        metres /= grid.cell * factor
+        places.append(np.floor(metres, out=metres).astype(np.int64))
+    return places[0] - grid.left, grid.bottom + grid.rows - 1 - places[1]
 
 
 def count_in(cloud: PointCloud, which: np.ndarray, grid: RasterGrid) -> np.ndarray:

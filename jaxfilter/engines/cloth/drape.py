@@ -174,10 +174,12 @@ def drape(
         return motion
 
     state = height, before, spring
+    start = [np.empty_like(a) for a in state]
     done, resting = 0, False
     with ThreadPoolExecutor(threads) as pool:
         while done < iterations and not resting:
-            start = [a.copy() for a in state]
+            for now, then in zip(state, start, strict=True):
+                then[:] = now
             motion = after(min(_SWEEP, iterations - done))
             resting = bool((motion == MOVED).any())
             taken = int(np.argmax(motion == MOVED)) + 1 if resting else len(motion)
