@@ -244,13 +244,14 @@ def _find_cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np
     if not strip.any():
         return out
     number, links = np.cumsum(strip).reshape(strip.shape) - 1, []
-    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
-        both = strip[one] & strip[other]
-        upright = both & (np.abs(surface.low[one] - surface.low[other]) >= STEP * SIDE)
-        wall[one] |= upright
-        wall[other] |= upright
-        links.append((number[one][both & ~upright], number[other][both & ~upright]))
-    segment = groups(*np.concatenate(links, axis=1), int(strip.sum()))
+    for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        both = strip[here] & strip[there]
+        upright = both & (np.abs(surface.low[here] - surface.low[there]) >= STEP * SIDE)
+        wall[here] |= upright
+        wall[there] |= upright
+        links.append((number[here][both & ~upright], number[there][both & ~upright]))
+    one, other = np.concatenate(links, axis=1)
+    segment = groups(one, other, int(strip.sum()))
     fall = (surface.low - scipy.ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
     wall, inner = wall[strip], inner[strip]
     cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)

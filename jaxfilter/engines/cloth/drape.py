@@ -213,7 +213,7 @@ def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.nd
         level = np.abs(limit[one] - limit[two]) < np.float32(max_step)
         reached[one] |= level & open_[one] & ~free[two]
         reached[two] |= level & open_[two] & ~free[one]
-    group, count = segments(np.where(open_, limit, np.float32(np.nan)), np.float32(max_step), 1)
+    group, count = segments(np.where(open_, limit, np.float32(np.nan)), np.float32(max_step), 1.0)
     joined = np.zeros(count + 1, bool)
     joined[group[reached]] = True
     return joined[group]
