@@ -137,7 +137,7 @@ class CSF(Filter):
         cell = self.resolution
         grid = grid_over(points.xyz, cell, points.offset(cell), name="CSF(resolution)", limit=MAX_NODES)
         first = (grid.x0 - MARGIN_NODES * cell, grid.y0 - MARGIN_NODES * cell)
-        high = points.xyz[:, :2].max(axis=0)
+        high = points.extent[1]
         columns, rows = (int((float(h) - o) / cell + 1e-6) + MARGIN_NODES for h, o in zip(high, first, strict=True))
         if rows * columns * self.iterations > max(_WORK, _WORK_PER_POINT * len(points)):
             raise InputError(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.ndimage
-import scipy.spatial
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
@@ -97,15 +96,16 @@ class ReviewCells(NamedTuple):
         cls, cloud: PointCloud, result: FilterResult, every: np.ndarray, shape: tuple[int, int]
     ) -> ReviewCells:
         """With at least one candidate. ``every``: i64[n], the cell of each point, of ``shape``."""
-        rows = np.flatnonzero(cloud.candidate)
-        at, z, ground = every[rows], cloud.xyz[rows, 2], result.ground[rows]
+        rows = slice(None) if cloud.candidate.all() else cloud.candidate
+        at, z, ground = every[rows], cloud.xyz[:, 2][rows], result.ground[rows]
         height, is_ground, noise = (np.full(shape, none) for none in (np.inf, False, False))
         low = np.full(shape, np.inf, z.dtype)
         np.minimum.at(low.reshape(-1), at, z)
         least = np.flatnonzero(z == low.reshape(-1)[at])
-        above = result.height[rows[least]].astype(np.float64)
+        lowest = np.flatnonzero(cloud.candidate)[least]
+        above = result.height[lowest].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
-            above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
+            above = heights_of(cloud, result.ground, lowest, workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)
         is_ground.reshape(-1)[at[least][ground[least]]] = True
@@ -239,17 +239,19 @@ def _find_cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np
     cell. It touches the outline, reaches no further than :data:`CUT_REACH` into the data, and the surface falls along its border
     inside the data. ``inner``: metres to the outline.
     """
-    from ..engines.grid.shapes import segments  # imports Numba
-
     strip = filled & (inner <= CUT_REACH + SIDE)
     out, wall = np.zeros(strip.shape), np.zeros(strip.shape, bool)
     if not strip.any():
         return out
-    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
-        upright = strip[one] & strip[other] & (np.abs(surface.low[one] - surface.low[other]) >= STEP * SIDE)
-        wall[one] |= upright
-        wall[other] |= upright
-    segment = segments(np.where(strip, surface.low, np.nan), STEP * SIDE, 1)[0][strip]
+    number, links = np.cumsum(strip).reshape(strip.shape) - 1, []
+    for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        both = strip[here] & strip[there]
+        upright = both & (np.abs(surface.low[here] - surface.low[there]) >= STEP * SIDE)
+        wall[here] |= upright
+        wall[there] |= upright
+        links.append((number[here][both & ~upright], number[there][both & ~upright]))
+    one, other = np.concatenate(links, axis=1)
+    segment = groups(one, other, int(strip.sum()))
     fall = (surface.low - scipy.ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
     wall, inner = wall[strip], inner[strip]
     cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)
@@ -323,19 +325,19 @@ def _gathered(found: np.ndarray, part: np.ndarray, most: int) -> np.ndarray:
     """
     _, first_cell, part, count = np.unique(part, return_index=True, return_inverse=True, return_counts=True)
     volume = np.bincount(part, found["error"])
-    x, y = (np.bincount(part, found["error"] * found["cell"][:, axis]) / volume for axis in range(2))
-    level = np.where(found["reason"][first_cell] < ALONE, 1.0 + np.arange(len(volume)), 0.0)
-    middle = np.stack([x, y, level * _WIDE], axis=1)
-    order = np.argsort(-volume, kind="stable")
+    middle = np.stack([np.bincount(part, found["error"] * found["cell"][:, axis]) / volume for axis in range(2)])
+    alone = found["reason"][first_cell] < ALONE
+    order, along = np.argsort(-volume, kind="stable"), np.argsort(middle[0], kind="stable")
     rank, place = np.argsort(order), np.full(len(volume), -1)
-    likely, tree, number = volume / count, scipy.spatial.cKDTree(middle), 0
+    likely, x, number = volume / count, middle[0, along], 0
     for first in order.tolist():
         if place[first] >= 0:
             continue
         if number == most:
             break
-        near = np.array(tree.query_ball_point(middle[first], VIEW, p=np.inf))
-        near = near[place[near] < 0]
+        near = along[slice(*np.searchsorted(x, middle[0, first] + [-VIEW - 1, VIEW + 1]))]
+        near = near[(place[near] < 0) & (np.abs(middle[:, near] - middle[:, [first]]) <= VIEW).all(axis=0)]
+        near = near[(near == first) | ~(alone[near] | alone[first])]
         near = near[np.lexsort((rank[near], -likely[near], near != first))]
         place[near[np.cumsum(count[near]) * SIDE**2 <= LARGEST_AREA]] = number
         number += 1

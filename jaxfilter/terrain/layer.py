@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError
+from ..core.frame import ends
 from ..core.points import check_extent
 from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
@@ -200,8 +201,8 @@ def extent_of(cloud: PointCloud) -> Bounds:
 
 def _box_of(cloud: PointCloud) -> Bounds:
     xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
-    ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
-    return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
+    corners = np.concatenate(ends(xy)).astype(np.float64)
+    return tuple((np.tile(cloud.origin[:2], 2) + corners / cloud.units.xy).tolist())
 
 
 def grid_of(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> RasterGrid:

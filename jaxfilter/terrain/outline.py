@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from ..core.cloud import PointCloud
+from ..core.points import pieces
 from .raster import RasterGrid
 
 SNAP = 2.0**-20
@@ -22,15 +23,18 @@ INLET = 10.0
 
 def cells_of(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
     """i64[n]: the cell of each point, row by row from the north; points outside go to the nearest cell."""
-    columns, rows = places_of(cloud, grid)
-    return np.clip(rows, 0, grid.rows - 1) * grid.columns + np.clip(columns, 0, grid.columns - 1)
+    out = np.empty(len(cloud), np.int64)
+    for part in pieces(len(cloud)):
+        columns, rows = places_of(cloud, grid, part)
+        out[part] = np.clip(rows, 0, grid.rows - 1) * grid.columns + np.clip(columns, 0, grid.columns - 1)
+    return out
 
 
-def places_of(cloud: PointCloud, grid: RasterGrid) -> tuple[np.ndarray, np.ndarray]:
-    """i64[n], i64[n]: column, from the west, and row, from the north, of each point, which may lie outside the grid. They follow
-    from the coordinates alone, not from the corner of the cloud."""
+def places_of(cloud: PointCloud, grid: RasterGrid, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """i64[n], i64[n]: column, from the west, and row, from the north, of each point of a ``part``; it may lie outside the grid.
+    They follow from the coordinates alone, not from the corner of the cloud."""
     factor = cloud.units.xy
-    metres = np.rint(cloud.origin[:2] * factor / SNAP) * SNAP + cloud.xyz[:, :2]
+    metres = np.rint(cloud.origin[:2] * factor / SNAP) * SNAP + cloud.xyz[part, :2]
     x, y = np.floor(metres / (grid.cell * factor)).astype(np.int64).T
     return x - grid.left, grid.bottom + grid.rows - 1 - y
 

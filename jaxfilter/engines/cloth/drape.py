@@ -174,10 +174,12 @@ def drape(
         return motion
 
     state = height, before, spring
+    start = [np.empty_like(a) for a in state]
     done, resting = 0, False
     with ThreadPoolExecutor(threads) as pool:
         while done < iterations and not resting:
-            start = [a.copy() for a in state]
+            for now, then in zip(state, start, strict=True):
+                then[:] = now
             motion = after(min(_SWEEP, iterations - done))
             resting = bool((motion == MOVED).any())
             taken = int(np.argmax(motion == MOVED)) + 1 if resting else len(motion)
@@ -211,7 +213,7 @@ def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.nd
         level = np.abs(limit[one] - limit[two]) < np.float32(max_step)
         reached[one] |= level & open_[one] & ~free[two]
         reached[two] |= level & open_[two] & ~free[one]
-    group, count = segments(np.where(open_, limit, np.float32(np.nan)), np.float32(max_step), 1)
+    group, count = segments(np.where(open_, limit, np.float32(np.nan)), np.float32(max_step), 1.0)
     joined = np.zeros(count + 1, bool)
     joined[group[reached]] = True
     return joined[group]

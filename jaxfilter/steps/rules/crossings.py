@@ -207,7 +207,7 @@ class CrossingsRule(OstRule):
         good &= 2 * total(high[row, column]) >= cells
         joins, cut = np.zeros(z.shape, bool), highest(np.isinf(z), 2 * gap + 3, outside=True)
         for box, own in _groups(_at(z.shape, row, column, good[name]), round(sizes.widest / 2 / cell)):
-            rest, many = segments(np.where(part[box] > 0, np.float32(np.nan), z[box]), low, 1)
+            rest, many = segments(np.where(part[box] > 0, np.float32(np.nan), z[box]), low, 1.0)
             land = np.bincount(rest[~objects[box] & np.isfinite(z[box])], minlength=many + 1) * cell**2 > sizes.area
             land[0] = False
             land = np.pad(np.where(land[rest], z[box], np.float32(np.nan)), 1, constant_values=np.nan)

@@ -133,8 +133,8 @@ def filled(tin: Tin, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     the nearest cell decides. bool[rows, columns]: cells inside its hull."""
     from ...engines.grid.shapes import draw  # imports Numba
 
-    z, seen = np.array(cells.lowest), np.array(cells.seen)
     rows, columns = cells.grid.shape
-    draw(*positions(tin.xyz, cells), tin.triangles, tin.xyz[:, 2], z[:rows, :columns], seen[:rows, :columns])
-    inside = seen[:rows, :columns].copy()
-    return np.array(fill_nearest(z, seen, cells.valid))[:rows, :columns], inside
+    z, inside = (np.array(a)[:rows, :columns].copy() for a in (cells.lowest, cells.seen))
+    draw(*positions(tin.xyz, cells), tin.triangles, tin.xyz[:, 2].copy(), z, inside)
+    pad = [(0, wide - n) for wide, n in zip(cells.lowest.shape, z.shape, strict=True)]
+    return np.array(fill_nearest(np.pad(z, pad), np.pad(inside, pad), cells.valid))[:rows, :columns], inside
