@@ -30,7 +30,8 @@ from jaxfilter.steps.tin_filter import TinFilter
 
 METHODS = ("ptd", "ptdf", "atin", "fptd", "stin", "agptd", "spf", "iptd")
 KINDS = ("own", "scipy")
-PARTS = ("labels", "times", "twelve")
+PRESETS = ("paper", "for_cloud")
+PARTS = (*PRESETS, "times", "twelve")
 COUNTS = ("differ", "tie", "after a tie", "rounding", "else")
 SIZES = (10_000, 100_000, 1_000_000)
 MANY = 500_000
@@ -64,18 +65,20 @@ def main(arguments: list[str] | None = None) -> None:
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
     clouds = {f"samp{number}": jf.read(samples.sample_path(folder, number)) for number in options.samples}
-    text = ["# SciPy's Delaunay as the reference", INTRODUCTION]
-    for name, measured, table in (
-        ("labels", lambda: labels_of_samples(clouds), label_table),
-        ("times", lambda: times_of_sizes(options.sizes, options.repeats), time_table),
-        ("twelve", lambda: times_of_samples(clouds, options.repeats), twelve_table),
-    ):
-        path = options.out / f"triangulation_{name}.csv"
-        if name in options.only:
-            write_csv(path, measured())
-        if not path.exists():
-            raise SystemExit(f"{path} is missing: the page is written when all tables are there")
-        text += table(read_csv(path))
+    measured: dict[str, Callable[[], list[Row]]] = {
+        **{preset: partial(labels_of_samples, clouds, preset) for preset in PRESETS},
+        "times": lambda: times_of_sizes(options.sizes, options.repeats),
+        "twelve": lambda: times_of_samples(clouds, options.repeats),
+    }
+    paths = {part: options.out / f"triangulation_{part}.csv" for part in PARTS}
+    for part in options.only:
+        write_csv(paths[part], measured[part]())
+    if missing := [str(path) for path in paths.values() if not path.exists()]:
+        raise SystemExit(f"no page yet, for lack of {', '.join(missing)}")
+    tables = {part: read_csv(path) for part, path in paths.items()}
+    labels = label_table([row for preset in PRESETS for row in tables[preset]])
+    text = ["# SciPy's Delaunay as the reference", INTRODUCTION, *labels, *time_table(tables["times"])]
+    text += twelve_table(tables["twelve"])
     command = re.sub(r" --only( [a-z]+)*", "", shlex.join(["python", "experiments/bench/triangulation.py", *given]))
     keeps = len(options.only) < len(PARTS)
     write_page(options.out / "triangulation.md", "\n\n".join(text), command, [*METHODS, "scenes"], keeps=keeps)
@@ -176,15 +179,15 @@ def power(a: Position, b: Position, c: Position, p: Position) -> int:
     return a1 * (b2 * c3 - b3 * c2) - a2 * (b1 * c3 - b3 * c1) + a3 * (b1 * c2 - b2 * c1)
 
 
-def labels_of_samples(clouds: dict[str, jf.PointCloud]) -> list[Row]:
-    """Labels of all methods on samples, by the preset "paper" and by ``for_cloud``."""
+def labels_of_samples(clouds: dict[str, jf.PointCloud], preset: str) -> list[Row]:
+    """Labels of all methods on samples, by a preset or by ``for_cloud``."""
     rows: list[Row] = []
     for name, cloud in clouds.items():
         for method in METHODS:
             cls = jf.FILTERS[method]
-            for preset, filter_ in (("paper", cls.preset("paper")), ("for_cloud", cls.for_cloud(cloud))):
-                counts = compared(filter_, cloud)[1]
-                rows.append({"sample": name, "method": method, "preset": preset, "points": len(cloud)} | counts)
+            filter_ = cls.for_cloud(cloud) if preset == "for_cloud" else cls.preset(preset)
+            row: Row = {"sample": name, "method": method, "preset": preset, "points": len(cloud)}
+            rows.append(row | compared(filter_, cloud)[1])
         print(name, flush=True)
     return rows
 
@@ -193,7 +196,7 @@ def label_table(rows: Sequence[Row]) -> list[str]:
     """Sums over the samples."""
     table = []
     for method in METHODS:
-        for preset in ("paper", "for_cloud"):
+        for preset in PRESETS:
             own = [row for row in rows if (row["method"], row["preset"]) == (method, preset)]
             sums = {key: sum(row[key] for row in own) for key in ("points", *COUNTS)}
             worst = max(own, key=lambda row: row["differ"])
@@ -208,10 +211,10 @@ def label_table(rows: Sequence[Row]) -> list[str]:
     number = len({row["sample"] for row in rows})
     return [
         "## Labels",
-        f"{number} samples, {table[0]['points']:,} points. Both grow side by side, and each point counts by the first test that the two "
-        'decide otherwise. "Ties": the point, or its mirror image, lies on an edge, or the corners of the two facets lie on one '
-        'circle. "After ties": a vertex, its elevation or a limit differs already. "Rounding": the facet of Qhull is none of '
-        "the exact triangulation. All of this is by exact integers.",
+        f"{number} samples, {table[0]['points']:,} points. Both grow side by side. Each point that differs counts by the first "
+        'test that the two decide otherwise, by exact integers. "Ties": the point, or its mirror image, lies on an edge, or the '
+        'corners of the two facets lie on one circle. "After ties": a vertex, its elevation or a limit differs already. '
+        '"Rounding": the facet of Qhull is none of the exact triangulation.',
         markdown(columns, table),
     ]
 
@@ -266,9 +269,9 @@ def time_table(rows: Sequence[Row]) -> list[str]:
     ]  # fmt: skip
     return [
         "## Time",
-        'Scenes ("benchmark", one pulse per square metre); `for_cloud`; median of three warm calls without reading, one call at a '
-        "million points. "
-        '"Triangulation alone": all distinct points at once, median of three.',
+        'Scenes ("benchmark", one pulse per square metre), and the filters of `for_cloud`. Median of three warm calls without '
+        "reading, but for one call of a filter at a million points. All distinct points are triangulated at once for "
+        '"triangulation alone".',
         markdown(columns, sorted(rows, key=lambda row: row["what"] != "triangulation alone")),
     ]
 
@@ -305,9 +308,9 @@ def twelve_table(rows: Sequence[Row]) -> list[str]:
 TWELVE = (
     'Li et al. (2021): "the FPTD algorithm yields better error rates and kappa coefficients in 1/12 of the average time '
     'required by the PTD" (abstract), "and even nearly 30 times in some datasets (s42, s23)" (Sec. III-C). Table IV prints '
-    "33.39 and 2.82 s on average. Their PTD is not described further. Here both have the thresholds of the class of the "
-    "terrain, and SciPy triangulates anew in each round. Means over the samples. PTD adds all points that pass in a round, or, in the last "
-    "row, only the lowest over each facet, so that it takes more rounds. CPU seconds are medians of three calls."
+    "33.39 and 2.82 s on average. The paper does not say how its PTD works. Here both have the thresholds of the class of the "
+    "terrain, and SciPy triangulates anew in each round. PTD adds all points that pass in a round, or, in the last row, only the "
+    "lowest over each facet, so that it takes more rounds. Means over the samples of CPU seconds, medians of three calls."
 )
 
 
@@ -325,9 +328,10 @@ def verdicts(rows: Sequence[Row], table: Sequence[Row]) -> str:
             }
             ratio, most = mean[run] / mean[fast], max(by_sample, key=by_sample.__getitem__)
             word = "Confirmed" if ratio >= 11 else "Refuted"
+            span = f"{min(by_sample.values()):.2f} to {by_sample[most]:.2f} ({most})"
             out.append(
-                f"- **{run} takes twelve times the time of {fast} ({title}).** Measured: {mean[run]:.3f} and "
-                f"{mean[fast]:.3f} s, a ratio of {ratio:.2f}; on a sample {min(by_sample.values()):.2f} to {by_sample[most]:.2f} ({most}). **{word}.**"
+                f"- **{run} takes twelve times the time of {fast} ({title}).** Measured: {mean[run]:.3f} and {mean[fast]:.3f} s, "
+                f"a ratio of {ratio:.2f}; on single samples {span}. **{word}.**"
             )
     return "\n".join(out)
 
