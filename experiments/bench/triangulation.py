@@ -10,7 +10,7 @@ import statistics
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from jaxfilter.engines.tin.growth import Growth, Network
 from jaxfilter.engines.tin.triangulation import Tin, lattice, triangulated
 from jaxfilter.steps.tin_filter import TinFilter
 
-METHODS = ("ptd", "ptdf", "atin", "fptd", "stin", "agptd", "spf", "iptd")
+METHODS = ("ptd", "atin", "fptd", "stin", "agptd", "spf")
 KINDS = ("own", "scipy")
 PRESETS = ("paper", "for_cloud")
 PARTS = (*PRESETS, "times", "twelve")
@@ -65,14 +65,18 @@ def main(arguments: list[str] | None = None) -> None:
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
     clouds = {f"samp{number}": jf.read(samples.sample_path(folder, number)) for number in options.samples}
-    measured: dict[str, Callable[[], list[Row]]] = {
+    measured: dict[str, Callable[[], Iterator[Row]]] = {
         **{preset: partial(labels_of_samples, clouds, preset) for preset in PRESETS},
         "times": lambda: times_of_sizes(options.sizes, options.repeats),
         "twelve": lambda: times_of_samples(clouds, options.repeats),
     }
     paths = {part: options.out / f"triangulation_{part}.csv" for part in PARTS}
     for part in options.only:
-        write_csv(paths[part], measured[part]())
+        rows = []
+        for row in measured[part]():
+            rows.append(row)
+            write_csv(paths[part], rows)
+            print(row, flush=True)
     if missing := [str(path) for path in paths.values() if not path.exists()]:
         raise SystemExit(f"no page yet, for lack of {', '.join(missing)}")
     tables = {part: read_csv(path) for part, path in paths.items()}
@@ -129,30 +133,30 @@ def compared(filter_: TinFilter, cloud: jf.PointCloud) -> tuple[dict[str, np.nda
 
 def why(own: GroundTin, other: GroundTin, node: int) -> str:
     """Why the tests of a node differ, by exact integers; see :func:`compared`."""
-    pairs = [(_facet(own.tin, own.tin.where[node]), _facet(other.tin, other.tin.where[node]))]
-    place, at = _place(own.tin, node), [_place(own.tin, node)]
+    x, y = place = _place(own.tin, node)
+    tests = [([place], _facet(own.tin, own.tin.where[node]), _facet(other.tin, other.tin.where[node]))]
     if len(own.image_in) and min(own.image_in[node], other.image_in[node]) >= 0:
-        pairs.append((_facet(own.tin, own.image_in[node]), _facet(other.tin, other.image_in[node])))
-        at += [(2 * x - place[0], 2 * y - place[1]) for x, y in (_place(own.tin, v) for v in set(sum(pairs[0], ())))]
-    for one, two in pairs:
-        if not (own.tin.vertex[[*two]].all() and other.tin.vertex[[*one]].all()):
-            return "after a tie"
-    for one, two in pairs:
+        about = [_place(own.tin, v) for v in {*tests[0][1], *tests[0][2]}]
+        images = [(2 * a - x, 2 * b - y) for a, b in about]
+        tests.append((images, _facet(own.tin, own.image_in[node]), _facet(other.tin, other.image_in[node])))
+    if not all(own.tin.vertex[[*two]].all() and other.tin.vertex[[*one]].all() for _, one, two in tests):
+        return "after a tie"
+    for at, one, two in tests:
         corners = [[_place(own.tin, v) for v in facet] for facet in (one, two)]
         if one != two and all(power(*corners[0], p) == 0 for p in corners[1]):
             return "tie"
-        if any(turn(a, b, p) == 0 for a, b in _edges(corners[0]) + _edges(corners[1]) for p in at):
+        if any(min(turn(t[k - 1], t[k], p) for k in range(3)) == 0 for t in corners for p in at):
             return "tie"
-    facets = {facet for pair in pairs for facet in pair}
+    facets = {facet for test in tests for facet in test[1:]}
     moved = any(own.tin.xyz[v, 2] != other.tin.xyz[v, 2] for facet in facets for v in facet)
     if moved or own.rule != other.rule:
         return "after a tie"
-    apart = np.flatnonzero(own.tin.vertex != other.tin.vertex)
+    apart = [_place(own.tin, v) for v in np.flatnonzero(own.tin.vertex != other.tin.vertex).tolist()]
     for facet in facets:
         corners = [_place(own.tin, v) for v in facet]
-        if any(power(*corners, _place(own.tin, v)) > 0 for v in apart.tolist()):
+        if any(power(*corners, p) > 0 for p in apart):
             return "after a tie"
-    return "rounding" if any(one != two for one, two in pairs) else "else"
+    return "rounding" if any(one != two for _, one, two in tests) else "else"
 
 
 def _facet(tin: Tin, number: int) -> tuple[int, ...]:
@@ -161,10 +165,6 @@ def _facet(tin: Tin, number: int) -> tuple[int, ...]:
 
 def _place(tin: Tin, node: int) -> Position:
     return int(tin.xy[node, 0]), int(tin.xy[node, 1])
-
-
-def _edges(corners: Sequence[Position]) -> list[tuple[Position, Position]]:
-    return [(corners[k], corners[k - 1]) for k in range(3)]
 
 
 def turn(a: Position, b: Position, c: Position) -> int:
@@ -179,17 +179,14 @@ def power(a: Position, b: Position, c: Position, p: Position) -> int:
     return a1 * (b2 * c3 - b3 * c2) - a2 * (b1 * c3 - b3 * c1) + a3 * (b1 * c2 - b2 * c1)
 
 
-def labels_of_samples(clouds: dict[str, jf.PointCloud], preset: str) -> list[Row]:
+def labels_of_samples(clouds: dict[str, jf.PointCloud], preset: str) -> Iterator[Row]:
     """Labels of all methods on samples, by a preset or by ``for_cloud``."""
-    rows: list[Row] = []
     for name, cloud in clouds.items():
         for method in METHODS:
             cls = jf.FILTERS[method]
             filter_ = cls.for_cloud(cloud) if preset == "for_cloud" else cls.preset(preset)
             row: Row = {"sample": name, "method": method, "preset": preset, "points": len(cloud)}
-            rows.append(row | compared(filter_, cloud)[1])
-        print(name, flush=True)
-    return rows
+            yield row | compared(filter_, cloud)[1]
 
 
 def label_table(rows: Sequence[Row]) -> list[str]:
@@ -229,11 +226,10 @@ def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float]:
     return found, statistics.median(spent)
 
 
-def times_of_sizes(sizes: Sequence[int], repeats: int) -> list[Row]:
+def times_of_sizes(sizes: Sequence[int], repeats: int) -> Iterator[Row]:
     """Labels and times on scenes of one density, and of the triangulations alone."""
     from scipy.spatial import Delaunay
 
-    rows: list[Row] = []
     for size in sizes:
         cloud = jf.scenes.make("benchmark", size=size**0.5, density=1.0, seed=1).cloud
         points, times = jf.FPTD().points_of(cloud), 1 if size > MANY else repeats
@@ -245,7 +241,7 @@ def times_of_sizes(sizes: Sequence[int], repeats: int) -> list[Row]:
         row["own"], row["scipy"] = (
             timed(partial(call, it), repeats)[1] for call, it in ((triangulated, xyz), (Delaunay, at))
         )
-        rows.append(row)
+        yield row | {"ratio": row["scipy"] / row["own"]}
         for method in ("ptd", "fptd"):
             filter_, labels = jf.FILTERS[method].for_cloud(cloud), {}
             row = {"what": method.upper(), "points": len(points)}
@@ -256,9 +252,7 @@ def times_of_sizes(sizes: Sequence[int], repeats: int) -> list[Row]:
                 found, row[kind] = timed(partial(one, cloud), times)
                 labels[kind] = found.ground
             row["differ"] = int((labels["own"] != labels["scipy"]).sum())
-            rows.append(row)
-            print(row, flush=True)
-    return [row | {"ratio": row["scipy"] / row["own"]} for row in rows]
+            yield row | {"ratio": row["scipy"] / row["own"]}
 
 
 def time_table(rows: Sequence[Row]) -> list[str]:
@@ -276,19 +270,16 @@ def time_table(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def times_of_samples(clouds: dict[str, jf.PointCloud], repeats: int) -> list[Row]:
+def times_of_samples(clouds: dict[str, jf.PointCloud], repeats: int) -> Iterator[Row]:
     """FPTD and PTD as Li et al. time them, over both triangulations."""
     terrain = samples.terrain_classes()
     printed = {(row["sample"], row["method"]): row["seconds"] for row in samples.published("li2021_table4")}
-    rows: list[Row] = []
     for name, cloud in clouds.items():
         for run, make in RUNS.items():
             row: Row = {"sample": name, "run": run, "points": len(cloud)}
             for kind in KINDS:
                 found, row[kind] = timed(partial(make(terrain[name]).replace(triangulation=kind), cloud), repeats)
-            rows.append(row | {"rounds": len(found.trace), "printed": printed[name, run.split(",")[0].lower()]})
-        print(name, flush=True)
-    return rows
+            yield row | {"rounds": len(found.trace), "printed": printed[name, run.split(",")[0].lower()]}
 
 
 def twelve_table(rows: Sequence[Row]) -> list[str]:
