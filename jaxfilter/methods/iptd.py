@@ -129,7 +129,8 @@ class IPTD(TerrainAngle):
         seeds = potential[over <= self.plane_error]
         network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
         rule = Rule(max_angle=0.0, signed=1.0, noise_floor=self.noise_floor)
-        below = Growth(rule, vertices=Vertices(self.vertex_spacing), one_per_facet=True)
+        vertices = Vertices(self.vertex_spacing)
+        below = Growth(rule, vertices=vertices, one_per_facet=True, triangulation=self.triangulation)
         with GroundTin.start(network, below, workers=workers) as out:
             status = grow(out, self.max_rounds, lambda share, _: progress(share / 2, "densify downward"), trace)
         downward = labels_of_nodes(out, status)

@@ -159,9 +159,8 @@ class SPF(OutlierFate, TerrainAngle):
         potential = seeds = self.potential_seeds(points, outliers.barred)
         if self.seed_filter:
             progress(0.0, "seeds")
-            keep = clustered_seeds(
-                points.xyz[potential], long_edge=self.window + 2 * self.cell, raised=self.max_height, workers=workers
-            )
+            sizes = {"long_edge": self.window + 2 * self.cell, "raised": self.max_height}
+            keep = clustered_seeds(points.xyz[potential], **sizes, workers=workers, triangulation=self.triangulation)
             seeds = potential[keep]
         info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
         return dataclasses.replace(surrounded(self, points, seeds, outliers, BORDER_SPACING), info=info)

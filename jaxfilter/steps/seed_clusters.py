@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..engines.neighbours import groups
+from ..engines.tin.reference import TRIANGULATIONS
 from ..engines.tin.triangulation import triangulated
 
 NARROW, STEEP = 30.0, 60.0
@@ -12,7 +13,9 @@ NARROW, STEEP = 30.0, 60.0
 _RAISED = 2 / 3
 
 
-def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers: int | None = None) -> np.ndarray:
+def clustered_seeds(
+    xyz: np.ndarray, *, long_edge: float, raised: float, workers: int | None = None, triangulation: str = "own"
+) -> np.ndarray:
     """bool[s]: the potential seeds that are ground, by the facets of their Delaunay triangulation.
 
     1. The highest vertices of a facet with a long edge are noise.
@@ -26,6 +29,7 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
         long_edge: metres, in 3-D.
         raised: metres. A cluster is raised if the ground drops by more than this over at least two thirds of its perimeter,
             the border of the network included in the perimeter. The largest cluster never is.
+        triangulation: of :data:`jaxfilter.engines.tin.reference.TRIANGULATIONS`.
 
     Fewer than four seeds, or seeds on one line, are all kept.
     """
@@ -33,7 +37,7 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
     xy = xyz[:, :2].astype(np.float64)
     if s < 4 or np.linalg.matrix_rank(xy - xy[0], tol=1e-3) < 2:
         return np.ones(s, bool)
-    facet, beside = triangulated(xyz, workers).facets()
+    facet, beside = triangulated(xyz, workers, TRIANGULATIONS[triangulation]).facets()
     corner = xyz[facet]
     z = corner[:, :, 2]
     edge = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # edge k lies opposite vertex k

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import operator
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
@@ -22,6 +23,7 @@ from ..engines.tin.facets import Rule
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Mirror, Network, Outliers, Vertices
 from ..engines.tin.network import border_positions, one_network
+from ..engines.tin.reference import TRIANGULATIONS
 from ..engines.tin.triangulation import Tin
 from .outlier_filter import OutlierFilter
 
@@ -43,6 +45,11 @@ class TinFilter(OutlierFilter):
         "a point is ground, whatever its angle, if it lies this close to its facet; 0 = off", ">= 0 m", default=0.0
     )
     max_rounds: int = static("the growth ends after this many rounds at the latest", ">= 1", default=100)
+    triangulation: str = static(
+        "vertices join the triangulation one by one (own), or SciPy makes it anew in each round (scipy)",
+        default="own",
+        choices=tuple(TRIANGULATIONS),
+    )
 
     WINDOW: ClassVar[str] = "seed_cell"
     """The field that is as large as the largest building."""
@@ -74,7 +81,8 @@ class TinFilter(OutlierFilter):
         (20.0, 1.0, inf)
         """
         names = (field.name for field in declared(self))
-        return Growth(Rule(**{name: getattr(self, name) for name in names if name in Rule._fields}))
+        rule = Rule(**{name: getattr(self, name) for name in names if name in Rule._fields})
+        return Growth(rule, triangulation=self.triangulation)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         network = self.start(points, workers, progress, trace)
@@ -200,7 +208,8 @@ def _ground_each(
         if len(group_equal(values_of([sets[first], sets[number]], read))) > 1:
             return grow_set((number, number))  # more was read than in the first set of all
         growth = dataclasses.replace(sets[number].growth(network), kept=())
-        same = (growth.border_follows, growth.vertices) == (other.border_follows, other.vertices)
+        shared = operator.attrgetter("border_follows", "vertices", "triangulation")
+        same = shared(growth) == shared(other)
         with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:
             grow(out, sets[number].max_rounds)
         ground = np.zeros(len(points), bool)

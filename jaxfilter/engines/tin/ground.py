@@ -26,6 +26,7 @@ from ..grid.sparse import merged
 from ..ground import GroundNodes
 from .facets import judge, loosened, mirrored, of_nodes, single
 from .growth import KEPT_QUANTITIES, Growth, LowestPerCell, Mirror, Network, Spaced
+from .reference import TRIANGULATIONS
 from .triangulation import Tin
 
 _BATCH = 8192
@@ -65,7 +66,7 @@ class GroundTin(GroundNodes):
             if tin is None:
                 vertices = np.sort(np.concatenate([ground.choice.seeds, network.virtual]))
                 xyz = network.xyz.copy() if growth.moves else network.xyz
-                tin = Tin(xyz, network.sheet, vertices, pool, threads)
+                tin = TRIANGULATIONS[growth.triangulation](xyz, network.sheet, vertices, pool, threads)
             ground.tin, tin.pool, tin.workers = tin, pool, threads
             if len(network.virtual) == 0:
                 beyond = tin.triangles[tin.where[ground.todo]].min(axis=1) < 0

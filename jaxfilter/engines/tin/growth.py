@@ -142,6 +142,7 @@ class Growth:
         one_per_facet: a round adds, of the points over a facet that pass and may become vertices, only the one that lies
             lowest over it (after Nie et al. 2017); the others are tested again over the new facets.
         beyond: how points join outside the hull of the vertices; None = as inside.
+        triangulation: of :data:`jaxfilter.engines.tin.reference.TRIANGULATIONS`.
         kept: the tested quantities that are kept, of :data:`jaxfilter.engines.tin.facets.FACET_QUANTITIES`.
     """
 
@@ -152,6 +153,7 @@ class Growth:
     border_follows: bool = False
     one_per_facet: bool = False
     beyond: Beyond | None = None
+    triangulation: str = "own"
     kept: tuple[str, ...] = KEPT_QUANTITIES
 
     @property

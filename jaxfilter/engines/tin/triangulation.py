@@ -307,7 +307,7 @@ class Tin:
 
 
 @takes(xyz="f32[points, 3]")
-def triangulated(xyz: np.ndarray, workers: int | None = None) -> Tin:
+def triangulated(xyz: np.ndarray, workers: int | None = None, kind: type[Tin] = Tin) -> Tin:
     """The triangulation of positions of their own, f32[points, 3], in one sheet. ``workers``: threads, None = cores.
 
     Raises: InputError for positions that are on one line (as fewer than three are), repeated, not finite or too far apart.
@@ -315,7 +315,7 @@ def triangulated(xyz: np.ndarray, workers: int | None = None) -> Tin:
     threads, every = workers or os.cpu_count() or 1, np.arange(len(xyz))
     try:
         with ThreadPoolExecutor(threads) as pool:
-            tin = Tin(xyz, np.zeros(len(xyz), np.int32), every, pool, threads)
+            tin = kind(xyz, np.zeros(len(xyz), np.int32), every, pool, threads)
     except ValueError as error:
         raise InputError(f"xyz of {len(xyz):,} points: {error}") from error
     tin.workers = 1  # the others have gone
