@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,24 @@ def score_row(
     row = {"sample": sample, "method": method, "points": len(cloud)} | {key: getattr(scores, key) for key in SCORES}
     row |= {"seconds": seconds, "first_call_seconds": first, "status": result.status.name}
     return row | {key: result.info.get(key) for key in ("seeds", "border_points", "rounds")}, result
+
+
+def cpu_seconds(filters: Mapping[str, jf.Filter], cloud: jf.PointCloud, repeats: int) -> dict[str, list[float]]:
+    """By name, CPU seconds of ``repeats`` warm calls with one thread; one filter after the other in each repeat."""
+    spent: dict[str, list[float]] = {name: [] for name in filters}
+    for _ in range(repeats + 1):
+        for name, filter_ in filters.items():
+            start = time.process_time()
+            filter_(cloud, workers=1)
+            spent[name].append(time.process_time() - start)
+    return {name: found[1:] for name, found in spent.items()}
+
+
+def all_less(first: Sequence[float], second: Sequence[float]) -> bool | None:
+    """Whether each of the first is less than each of the second; False: more, None: neither, the difference is not decided."""
+    if max(first) < min(second):
+        return True
+    return False if min(first) > max(second) else None
 
 
 def join(measured: Sequence[Row], printed: Sequence[Row], keys: Sequence[str], values: Sequence[str]) -> list[Row]:
