@@ -152,7 +152,7 @@ def below_average(report: paper.Report) -> None:
     report.table("average", "Fig. 16: SPF beside other methods, fixed protocol", columns, table)
     report.text(f"Average: of the {len(others)} other methods here. Rank: 1 is the lowest of all {len(others) + 1}.")
     report.figure(average_lines(rows, table), "average", "Fig. 16: errors of SPF (blue), the average of the other methods here "
-                  "(black), and each of these (grey): A) T.I, B) T.II, C) total error.")  # fmt: skip
+                  "(black), and each of these (grey, cut at the top): A) T.I, B) T.II, C) total error.")  # fmt: skip
     below = {key: sum(line[f"{key}_spf"] < line[f"{key}_mean"] for line in table) for key in VALUES}
     second = {key: sum(line[f"{key}_rank"] == 2 for line in table) for key in VALUES}
     for key, claim, printed in (
