@@ -24,7 +24,7 @@ def lattice(nx, ny, step=1.0):
 
 def potential(f, xyz):
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    return points, f.potential_seeds(points, np.zeros(len(points), bool))
+    return points, f.potential_seeds(points, np.zeros(len(points), bool))[0]
 
 
 # Schedules, eq. 1 to 3
@@ -94,6 +94,30 @@ def test_zero_elevation_in_empty_cells_pulls_the_surface_down():
     xyz[:, 2] += 0.01 * xyz[:, 0]
     neighbours, zero = (len(potential(jf.SPF(window=20.0, fill=f), xyz)[1]) for f in ("neighbours", "zero"))
     assert neighbours > 1000 and zero == 0
+
+
+def test_empty_cells_beside_others_are_vertices_at_the_mean_of_their_neighbours_and_no_points():
+    xyz = lattice(60, 60)
+    xyz[:, 2] = 0.1 * xyz[:, 0]
+    void = (np.abs(xyz[:, 0] - 30) < 7) & (np.abs(xyz[:, 1] - 30) < 7)
+    points = canonical_points(jf.PointCloud.from_arrays(xyz[~void]))
+    seeds, nodes = jf.SPF(cell=2.0, interpolated=True).potential_seeds(points, np.zeros(len(points), bool))
+    at, nodes = points.xyz + points.cloud.origin, nodes + points.cloud.origin
+    cell = np.unique(np.floor(at[:, :2] / 2), axis=0)
+    lowest = {tuple(c): at[(np.floor(at[:, :2] / 2) == c).all(axis=1), 2].min() for c in cell}
+    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    expected = {
+        (x, y): np.mean([lowest[x + i, y + j] for i, j in around if (x + i, y + j) in lowest])
+        for x in range(31) for y in range(31)
+        if (x, y) not in lowest and any((x + i, y + j) in lowest for i, j in around)
+    }  # fmt: skip
+    inside = [k for k in expected if 0 < k[0] < 30 and 0 < k[1] < 30]
+    found = {tuple(np.floor(n[:2] / 2)): n for n in nodes}
+    assert len(inside) > 15 and set(found) <= set(expected) and set(inside) <= set(found) and len(seeds) == len(cell)
+    for k in inside:
+        np.testing.assert_allclose(found[k], [2 * k[0] + 1, 2 * k[1] + 1, expected[k]], atol=1e-3)
+    result = jf.SPF(cell=2.0, interpolated=True)(xyz[~void])
+    assert len(result.ground) == len(points) and result.info["interpolated_nodes"] == len(found)
 
 
 # Seed filter

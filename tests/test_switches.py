@@ -12,6 +12,7 @@ SWITCHED = {
     "removed": jf.AGPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
     "removed by STIN": jf.STIN(outlier_surface="quadratic", outlier_distance=2.0, outlier_fate="removed"),
     "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
+    "vertices between": jf.SPF(interpolated=True),
     "no reach": jf.PPDF(reach=np.inf),
 }
 

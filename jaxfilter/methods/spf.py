@@ -16,6 +16,7 @@ from ..core.result import Progress
 from ..engines.grid.morphology import raised_cells
 from ..engines.grid.spread import fill_from_neighbours
 from ..engines.tin.growth import Network, Outliers
+from ..engines.tin.network import with_nodes
 from ..steps.outlier_filter import OutlierFate
 from ..steps.outliers import isolated_low
 from ..steps.seed_clusters import clustered_seeds
@@ -48,7 +49,8 @@ class SPF(OutlierFate, TerrainAngle):
 
     ``info`` counts ``potential_seeds`` and ``removed_seeds``. The paper prints no parameter values. "recommended", the
     default, and "paper" differ in outliers, which are cut from the histogram of elevations and by their height below their
-    neighbours in the paper (Sec. 2.1), and in cells that cannot be interpolated, which get elevation 0.
+    neighbours in the paper (Sec. 2.1), and in empty cells: those that can be interpolated are vertices until the end (Sec.
+    2.4), and the others get elevation 0.
 
     Departures (docs/filters/spf.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
     stand beside the data, not a buffer's width away.
@@ -65,6 +67,9 @@ class SPF(OutlierFate, TerrainAngle):
     max_height: float = param("no threshold exceeds this: the height of the lowest building", "hmax > 0 m", default=2.5)
     fill: str = static(
         "empty cells get the mean of their neighbours, or elevation 0", default="neighbours", choices=FILLS
+    )
+    interpolated: bool = static(
+        "an empty cell beside cells with points has a vertex at its centre, at their mean elevation", default=False
     )
     seed_filter: bool = static("seeds that stand out of their triangulation as noise are removed", default=True)
     max_angle: float = param("ground has at most this angle to its facet", "theta > 0 and < 90 degrees", default=25.0)
@@ -84,9 +89,10 @@ class SPF(OutlierFate, TerrainAngle):
         ),
         "paper": Preset(
             "as printed, except that no value of any parameter is printed (those of the default, and 5 m and 2 m for "
-            "outliers, which the authors cut by eye and correct by hand)",
+            "outliers, which the authors cut by eye and correct by hand), and that cells of elevation 0 are no vertices",
             low_clusters=False,
             fill="zero",
+            interpolated=True,
             histogram_margin=5.0,
             isolated_depth=2.0,
             outlier_fate="removed",
@@ -126,8 +132,12 @@ class SPF(OutlierFate, TerrainAngle):
         """Whole cells of the openings, and whole steps between simulated border points."""
         return period(self.cell, BORDER_SPACING)
 
-    def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
-        """i64[p], ascending: rows of the lowest points of the cells that no opening marked. ``barred``: bool[m]."""
+    def potential_seeds(self, points: Points, barred: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the cells that no opening marked. ``barred``: bool[m].
+
+        Returns: i64[p], ascending, rows of their lowest points; with ``interpolated`` f32[i, 3], local metres, the centres of
+        empty ones beside cells with points, else f32[0, 3].
+        """
         cells = lowest_cells(points, self.cell, "SPF(cell)", barred=barred)
         surface, rounds = cells.lowest, sum(cells.lowest.shape)
         if self.fill == "zero":  # one round for the mean of the neighbours, and elevation 0 where there are none
@@ -137,7 +147,15 @@ class SPF(OutlierFate, TerrainAngle):
         radii = np.array(self.windows(), np.int32) // 2
         heights = np.array(self.thresholds(), np.float32)
         raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
-        return lowest_of_cells(points, cells, np.logical_not(raised), barred)
+        chosen = np.logical_not(raised)
+        seeds = lowest_of_cells(points, cells, chosen, barred)
+        if not self.interpolated:
+            return seeds, np.zeros((0, 3), np.float32)
+        _, beside = fill_from_neighbours(cells.lowest, cells.seen, cells.valid, np.int32(1))
+        row, column = np.nonzero(chosen & np.asarray(beside) & ~np.asarray(cells.seen))
+        x, y = cells.grid.x0 + (column + 0.5) * self.cell, cells.grid.y0 + (row + 0.5) * self.cell
+        centre = np.clip(np.column_stack([x, y]), *points.extent)  # where no simulated point around the cloud stands
+        return seeds, np.column_stack([centre, np.asarray(surface)[row, column]]).astype(np.float32)
 
     @stage
     def outliers(self, points: Points, workers: int | None) -> Outliers:
@@ -156,11 +174,14 @@ class SPF(OutlierFate, TerrainAngle):
         progress(0.0, "outliers")
         outliers = self.outliers(points, workers)
         progress(0.0, "openings")
-        potential = seeds = self.potential_seeds(points, outliers.barred)
+        seeds, nodes = self.potential_seeds(points, outliers.barred)
+        potential = len(seeds)
         if self.seed_filter:
             progress(0.0, "seeds")
-            sizes = {"long_edge": self.window + 2 * self.cell, "raised": self.max_height}
-            keep = clustered_seeds(points.xyz[potential], **sizes, workers=workers, triangulation=self.triangulation)
-            seeds = potential[keep]
-        info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
-        return dataclasses.replace(surrounded(self, points, seeds, outliers, BORDER_SPACING), info=info)
+            xyz, edge = np.concatenate([points.xyz[seeds], nodes]), self.window + 2 * self.cell
+            clean = {"raised": self.max_height, "workers": workers, "triangulation": self.triangulation}
+            keep = clustered_seeds(xyz, long_edge=edge, **clean)
+            seeds, nodes = seeds[keep[:potential]], nodes[keep[potential:]]
+        info = {"potential_seeds": potential, "removed_seeds": potential - len(seeds), "interpolated_nodes": len(nodes)}
+        network = surrounded(self, points, seeds, outliers, BORDER_SPACING)
+        return dataclasses.replace(with_nodes(network, nodes) if len(nodes) else network, info=info)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -77,6 +78,20 @@ def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, outliers:
     """All points in one sheet: ``seeds``, i64[s], are rows of them, ``border``, f32[b, 2], positions around them."""
     sheet = np.arange(len(points)), np.ones(len(points), bool), with_elevation(border, points.xyz[seeds])
     return _join(points, [sheet], seeds, outliers)
+
+
+def with_nodes(network: Network, xyz: np.ndarray) -> Network:
+    """A network of one sheet with more simulated nodes, f32[n, 3], local metres, at positions where it has none."""
+    more = (0, len(xyz))
+    return dataclasses.replace(
+        network,
+        xyz=np.concatenate([network.xyz, xyz]),
+        sheet=np.pad(network.sheet, more),
+        row=np.pad(network.row, more, constant_values=-1),
+        seed=np.pad(network.seed, more, constant_values=True),
+        open=np.pad(network.open, more),
+        late=np.pad(network.late, more),
+    )
 
 
 def _join(
