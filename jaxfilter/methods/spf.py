@@ -178,9 +178,13 @@ class SPF(OutlierFate, TerrainAngle):
         potential = len(seeds)
         if self.seed_filter:
             progress(0.0, "seeds")
-            xyz, edge = np.concatenate([points.xyz[seeds], nodes]), self.window + 2 * self.cell
-            clean = {"raised": self.max_height, "workers": workers, "triangulation": self.triangulation}
-            keep = clustered_seeds(xyz, long_edge=edge, **clean)
+            keep = clustered_seeds(
+                np.concatenate([points.xyz[seeds], nodes]),
+                long_edge=self.window + 2 * self.cell,
+                raised=self.max_height,
+                workers=workers,
+                triangulation=self.triangulation,
+            )
             seeds, nodes = seeds[keep[:potential]], nodes[keep[potential:]]
         info = {"potential_seeds": potential, "removed_seeds": potential - len(seeds), "interpolated_nodes": len(nodes)}
         network = surrounded(self, points, seeds, outliers, BORDER_SPACING)
