@@ -1,5 +1,6 @@
 """The experiments: published figures are consistent, protocols are fair, pages and quoted figures are those of the code."""
 
+import re
 import statistics
 import sys
 from functools import partial
@@ -366,3 +367,14 @@ def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tm
     cloud = jf.read(two_samples / "isprs" / "samp53.txt")
     total = jf.evaluate(jf.SMRF.for_cloud(cloud)(cloud), cloud).total
     assert found["SMRF", "samp53"] == pytest.approx(total) and f"{total:.2f}" in (tmp_path / "results.md").read_text()
+
+
+def test_the_list_of_tables_and_figures_names_headings_of_the_pages():
+    folder = Path(report.__file__).parent / "papers"
+    papers = re.split(r"^## ", (folder / "figures.md").read_text(), flags=re.MULTILINE)[1:]
+    assert len(papers) == 5
+    for text in papers:
+        (page,) = re.findall(r"\[results\]\((.+?)\)", text)
+        headings = re.findall(r"^## (.+)$", (folder / page).read_text(), re.MULTILINE)
+        named = re.findall(r'"([^"]+)"', text)
+        assert len(named) > 5 and not set(named) - set(headings), page
