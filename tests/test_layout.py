@@ -10,7 +10,7 @@ import jaxfilter as jf
 
 PACKAGE = Path(jf.__file__).parent
 FLOORS = {
-    "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4,
+    "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4, "ops": 4,
     "terrain": 5, "scoring": 5, "datasets": 6, "sweeps": 7, "plots": 8, "reports": 9, "surveys": 10, "reviews": 11, "cli": 12,
     "__main__": 13,
 }  # fmt: skip

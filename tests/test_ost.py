@@ -263,6 +263,7 @@ def objects(z, **given):
     """Cells that go as a whole, by the core and by the rule for halls."""
     scene = scene_of(z, **given)
     scene.whole = scene.ost.roofs(scene)
+    RULES["halls"].measure(scene)
     RULES["halls"].judge(scene)
     return scene.whole
 
