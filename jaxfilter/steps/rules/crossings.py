@@ -15,7 +15,7 @@ from ...core.water import WaterCells
 from ...engines.grid.extremes import highest, lowest
 from ..sensors import AIRBORNE, DRONE
 from ..surfaces import look_up, number_in
-from .scene import OstRule, OstScene
+from .scene import Flanked, OstRule, OstScene, Sizes
 
 _BLOCK = 16
 """Cells along a side of the squares by which cells are grouped; it changes no result."""
@@ -36,35 +36,6 @@ class LowestSurface(NamedTuple):
     seen: np.ndarray
     inside: np.ndarray
     points: np.ndarray
-
-
-class Sizes(NamedTuple):
-    """Metres: side of a cell, ``spacing`` of the points, the ``widest`` deck, ``step`` between cells of one surface, ``drop`` at
-    the flanks of a deck; and square metres of the smallest ``area`` of a deck and of the land at its ends."""
-
-    cell: float
-    spacing: float
-    widest: float
-    step: float
-    drop: float
-    area: float
-
-
-class Flanked(NamedTuple):
-    """A surface, and where it falls upright on both sides.
-
-    Attributes:
-        z: f32[rows, columns], metres, infinite where it is not known. points: i64[rows, columns], how many are in each cell.
-        sizes: lengths and areas. gap: cells within which the surface falls at an upright edge.
-        flanks: of :func:`jaxfilter.engines.grid.shapes.flanks`, [rows, columns] each; none where points are too far apart to
-            show a deck.
-    """
-
-    z: np.ndarray
-    points: np.ndarray
-    sizes: Sizes
-    gap: int
-    flanks: tuple[np.ndarray, ...]
 
 
 class Crossed(NamedTuple):

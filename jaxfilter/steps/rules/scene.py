@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,34 @@ from ..pruning import Scatter
 from ..sensors import KINDS
 from ..surfaces import Cells, lowest_cells, positions
 
-if TYPE_CHECKING:
-    from .crossings import Flanked
+
+class Sizes(NamedTuple):
+    """Metres: side of a cell, ``spacing`` of the points, the ``widest`` deck, ``step`` between cells of one surface, ``drop`` at
+    the flanks of a deck; and square metres of the smallest ``area`` of a deck and of the land at its ends."""
+
+    cell: float
+    spacing: float
+    widest: float
+    step: float
+    drop: float
+    area: float
+
+
+class Flanked(NamedTuple):
+    """A surface, and where it falls upright on both sides.
+
+    Attributes:
+        z: f32[rows, columns], metres, infinite where it is not known. points: i64[rows, columns], how many are in each cell.
+        sizes: lengths and areas. gap: cells within which the surface falls at an upright edge.
+        flanks: of :func:`jaxfilter.engines.grid.shapes.flanks`, [rows, columns] each; none where points are too far apart to
+            show a deck.
+    """
+
+    z: np.ndarray
+    points: np.ndarray
+    sizes: Sizes
+    gap: int
+    flanks: tuple[np.ndarray, ...]
 
 
 @dataclasses.dataclass(eq=False)
