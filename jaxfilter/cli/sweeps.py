@@ -133,7 +133,8 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     class 0. If the rest has class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name the patches
     with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the other folds chose.
     """
-    from ..files.disk import check_bounds, new_file
+    from ..core.reading import check_bounds
+    from ..files.disk import new_file
     from ..files.reading import read
     from ..sweeps import calibrate as sweeps
     from ..sweeps import labels as labelling

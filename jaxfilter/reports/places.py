@@ -13,9 +13,10 @@ import scipy.ndimage
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
+from ..core.reading import Bounds
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
-from ..files.disk import Bounds, check_suffix
+from ..files.disk import check_suffix
 from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of

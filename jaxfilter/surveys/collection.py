@@ -17,9 +17,8 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError, warn
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.units import Stated, Units, vertical
-from ..files.disk import Bounds
 from ..files.sources import Source, describe_file, stated_bounds, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT

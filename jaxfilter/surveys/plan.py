@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.cloud import QUANTUM
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
-from ..files.disk import Bounds
+from ..core.reading import Bounds
 from ..files.sources import SCATTERED, SQUARE, WHOLE, Squares, square_keys, squares_of
 from .collection import Collection
 from .product import Cut

@@ -16,9 +16,8 @@ import numpy as np
 from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError
 from ..core.inputs import COLUMN_TYPES
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.result import Progress, silent
-from ..files.disk import Bounds
 from ..files.sources import Source, read_window
 from .area import within
 from .collection import common
