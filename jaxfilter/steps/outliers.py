@@ -274,8 +274,7 @@ def _surroundings(
         for i in range(steps):
             over = (ahead[:, i, None] * distance + behind * distance[i]) / (distance[i] + distance)
             line = np.minimum(line, over.min(axis=1))
-    one_sided = np.where(np.isfinite(least), least, -np.inf)
-    return np.where(np.isfinite(line), line, one_sided)
+    return np.where(np.isfinite(line), line, np.where(np.isfinite(least), least, -np.inf))
 
 
 def bar_outliers(

@@ -85,8 +85,7 @@ class GroundProduct(Product):
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
-        additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, Replacing(**task.how))
+        write_cloud(task.target, cloud, found, self.classes, Additions(columns=columns), Replacing(**task.how))
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
