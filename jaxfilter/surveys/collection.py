@@ -360,9 +360,8 @@ def open(
             if uri in entries:
                 repeated.append(uri)
             entries.setdefault(uri, entry)
-    alone = len(entries) == 1
     with ThreadPoolExecutor(_THREADS) as pool:
-        found = list(pool.map(lambda entry: _source_of(entry, stated, alone), entries.values()))
+        found = list(pool.map(lambda entry: _source_of(entry, stated, len(entries) == 1), entries.values()))
     unreadable = [one for one in found if not isinstance(one, Source)]
     collection = Collection((one for one in found if isinstance(one, Source)), unreadable, dict.fromkeys(repeated))
     if not collection:

@@ -360,6 +360,5 @@ class Run:
 def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = False) -> Tile:
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
-    sources = tuple(collection[f] for f in files)
     core, window = (None, None) if plan.whole else (plan.core(number), plan.window(number))
-    return Tile(number, core, window, files, sources, patient)
+    return Tile(number, core, window, files, tuple(collection[file] for file in files), patient)

@@ -97,10 +97,8 @@ class CrossingsRule(OstRule):
         """Where the surface falls upright on both sides."""
         ost = scene.ost
         step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
-        sizes, points = (
-            Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area),
-            number_in(scene.points, scene.cells),
-        )
+        sizes = Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area)
+        points = number_in(scene.points, scene.cells)
         scene.flanked = self.flanks(scene.z, scene.seen, scene.inside, points, sizes)
 
     def seed(self, scene: OstScene) -> None:
