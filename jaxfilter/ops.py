@@ -67,8 +67,7 @@ class Delaunay:
         """
         at, tin = _placed(_numbers("points", points, (2, 3)), *self._frame), self._tin
         rows, out = np.flatnonzero(((at >= 0) & (at <= SPAN * QUANTUM)).all(axis=1)), np.full(len(at), -1, np.int32)
-        near = np.searchsorted(self._codes[:-1], morton(at[rows]))
-        found = tin.walk(at[rows], tin.where[near])
+        found = tin.walk(at[rows], tin.where[np.searchsorted(self._codes[:-1], morton(at[rows]))])
         found = np.where(found < 0, -1 - found, found)
         x, y = np.moveaxis(tin.xy[tin.triangles[found]].astype(np.int64) - lattice(at[rows])[:, None], 2, 0)
         inside = (x * np.roll(y, -1, axis=1) >= np.roll(x, -1, axis=1) * y).all(axis=1)

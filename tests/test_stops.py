@@ -19,7 +19,7 @@ import shapely
 from las_files import las_of
 
 import jaxfilter as jf
-from jaxfilter.files.disk import UNFINISHED
+from jaxfilter.core.output import UNFINISHED
 from jaxfilter.surveys.kept import WATER_FILE
 
 pytestmark = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.steps.rules.crossings import Crossed, CrossingsRule, LowestSurface, Sizes
+from jaxfilter.steps.rules.crossings import CrossingsRule, Sizes
 
 SHAPE = (80, 100)
 SIZES = Sizes(cell=1.0, spacing=0.7, widest=50.0, step=0.42, drop=1.8, area=30.0)
@@ -14,16 +14,16 @@ ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
 VALLEY = np.where(abs(COLUMNS - 50) < 15, np.float32(-5), np.float32(0))
 
 
-def crossed(z: np.ndarray, inside: np.ndarray, objects: np.ndarray, points: np.ndarray | int = 4) -> Crossed:
-    """What is found in a surface with ``points`` in each cell."""
+def crossed(z: np.ndarray, inside: np.ndarray, objects: np.ndarray, points: np.ndarray | int = 4):
+    """Elevations of decks, and of water, in a surface with ``points`` in each cell."""
     seen, points = np.ones(z.shape, bool), np.broadcast_to(points, z.shape)
-    rule, surface = CrossingsRule(), LowestSurface(z.astype(np.float32), seen, inside, points)
-    return rule.find(rule.flanks(surface, SIZES), objects, np.float32(0))
+    rule = CrossingsRule()
+    return rule.find(rule.flanks(z.astype(np.float32), seen, inside, points, SIZES), objects, np.float32(0))[:2]
 
 
 def found(z: np.ndarray) -> np.ndarray:
     """bool: cells of decks in a surface that is known everywhere; what is higher than the valley and in it is no ground."""
-    return np.isfinite(crossed(z, np.ones(SHAPE, bool), z > VALLEY + 0.5).deck)
+    return np.isfinite(crossed(z, np.ones(SHAPE, bool), z > VALLEY + 0.5)[0])
 
 
 @pytest.mark.parametrize("half", [2, 5, 20])
@@ -40,7 +40,7 @@ def test_a_deck_that_the_border_cuts_is_found():
     on = (abs(ROWS - 40) <= 5) & (abs(COLUMNS - 50) < 15)
     z = np.where(on, 0.0, VALLEY)
     inside = COLUMNS < 50
-    deck = np.isfinite(crossed(z, inside, on).deck)
+    deck = np.isfinite(crossed(z, inside, on)[0])
     assert deck[on & inside].mean() > 0.8
 
 
@@ -63,7 +63,7 @@ def pool(level: np.ndarray | float, rim: np.ndarray | float, density: int, cells
     rng, away = np.random.default_rng(0), np.hypot(ROWS - 40, COLUMNS - 50) - cells
     z = np.where(away < 0, level, np.minimum(away, 1) * rim + 0.02 * away) + 0.02 * rng.standard_normal(SHAPE)
     count, known = np.where(away < 0, density, 4), np.ones(SHAPE, bool)
-    return np.isfinite(crossed(z, known, ~known, count).level)
+    return np.isfinite(crossed(z, known, ~known, count)[1])
 
 
 def test_water_is_level_and_lower_than_its_rim():
@@ -84,7 +84,7 @@ def test_a_long_river_falls(slope: float, found: bool):
     rows, columns = np.mgrid[:60, :1000]
     channel, rng = abs(rows - 30) < 10, np.random.default_rng(0)
     z = slope * columns + np.where(channel, 0, 2) + 0.02 * rng.standard_normal(rows.shape)
-    water = np.isfinite(crossed(z, rows >= 0, rows < 0, np.where(channel, 1, 4)).level)
+    water = np.isfinite(crossed(z, rows >= 0, rows < 0, np.where(channel, 1, 4))[1])
     assert water[channel].mean() > 0.95 if found else not water.any()
 
 

@@ -39,7 +39,7 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     low plants.
     """
     from .. import scenes
-    from ..files.disk import UNFINISHED
+    from ..core.output import UNFINISHED
     from ..files.reading import read
     from ..scoring import evaluate as score
     from ..surveys.ground import ground

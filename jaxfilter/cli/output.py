@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..core.result import Status
+from ..core.result import Status, plain
 from .session import LINE_EVERY, BadUsage, Session, logger
 from .values import OUTPUT, option
 
@@ -170,7 +170,7 @@ def table_text(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int 
 
 def json_text(value: Any) -> str:
     """A value as JSON: NumPy values become numbers and lists, NaN becomes null, what else JSON does not know text."""
-    text = json.dumps(value, default=lambda one: one.tolist() if hasattr(one, "tolist") else str(one))
+    text = json.dumps(value, default=plain)
     known = json.loads(text, parse_constant={"NaN": None, "Infinity": "inf", "-Infinity": "-inf"}.get)
     return json.dumps(known, indent=2)
 

@@ -95,8 +95,7 @@ def _joined(files: list[Path], how: Reading, session: Session) -> PointCloud:
     if len(files) == 1:
         return read(files[0], units=how.units, crs=how.crs, bounds=how.bounds, progress=session.progress)
     collection = open_collection([str(path) for path in files], units=how.units, crs=how.crs)
-    units = collection.units
-    return joined([read(path, units=units, crs=how.crs, bounds=how.bounds) for path in files])
+    return joined([read(path, units=collection.units, crs=how.crs, bounds=how.bounds) for path in files])
 
 
 def _reference(cloud: PointCloud, source: Path, reference: str, how: Reading) -> Any:

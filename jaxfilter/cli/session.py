@@ -203,8 +203,7 @@ class Session:
         if resume or sys.stdout.isatty():
             why = "keeps nothing to resume: name a file" if resume else "is a terminal: add | or >, or name a file"
             raise BadUsage(f"-: standard output {why}")
-        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="jaxfilter-"))
-        self.pipe = Path(folder) / f"out{suffix}"
+        self.pipe = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="jaxfilter-"))) / f"out{suffix}"
         return self.pipe
 
     def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:

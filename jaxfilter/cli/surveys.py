@@ -60,9 +60,8 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
     if vpc is not None:
         survey.to_vpc(vpc, overwrite=overwrite)
     if picture is not None:
-        figure = survey.plot().figure
         with new_file(picture, overwrite=overwrite) as part:
-            figure.savefig(part, format=picture.suffix[1:].lower())
+            survey.plot().figure.savefig(part, format=picture.suffix[1:].lower())
     mixed, area = findings.mixed is not None, float(survey.areas.sum())
     facts = {
         "files": len(survey),

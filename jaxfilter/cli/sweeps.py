@@ -104,7 +104,12 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
         "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
         "files": files,
     }
-    text = f"{_sets_text(dataset, table.head(10), score)}\n" if scored else ""
+    text, axes_swept, heads = "", axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
+    if scored:
+        shown = table.head(10)[[*axes_swept, *SCORES]].reset_index().rename(columns=heads)
+        means = ", means over the clouds" * ("cloud" in dataset.dims)
+        lines = shown.to_string(index=False, float_format="%.2f", formatters=dict.fromkeys(axes_swept, word))
+        text = f"best sets by {heads.get(score, score)}, percent{means}\n{lines}\n"
     text += f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
     return Answer(facts, f"{text}{times(session.seconds)}\nin {directory}: {', '.join(files)}")
 
@@ -133,7 +138,8 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     class 0. If the rest has class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name the patches
     with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the other folds chose.
     """
-    from ..files.disk import check_bounds, new_file
+    from ..core.reading import check_bounds
+    from ..files.disk import new_file
     from ..files.reading import read
     from ..sweeps import calibrate as sweeps
     from ..sweeps import labels as labelling
@@ -274,11 +280,3 @@ def _write(
         with new_file(directory / name, overwrite=True) as path:
             write(path)
     return list(writers)
-
-
-def _sets_text(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> str:
-    names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
-    shown = table[[*names, *SCORES]].reset_index().rename(columns=heads)
-    title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
-    text = shown.to_string(index=False, float_format="%.2f", formatters=dict.fromkeys(names, word))
-    return f"{title}\n{text}"

@@ -3,11 +3,14 @@
 import numbers
 import sys
 import warnings
+import zipfile
+import zlib
 from collections.abc import Collection
 from typing import Any
 
 SIZES = (1e-9, 1e9)  # least and largest of a number that is not 0: what is beyond is a slip, and overflows somewhere
 DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)  # by odd JSON
+DAMAGED_ARRAYS = (*DAMAGED, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)  # by odd files of NumPy
 
 
 class JaxfilterError(Exception):

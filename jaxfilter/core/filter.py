@@ -291,8 +291,7 @@ def ground_each(
     at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
 
     def classified(job: list[int]) -> Labels:
-        one = sets[job[0]]
-        return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
+        return sets[job[0]].classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
 
     for job, labels in in_turn(classified, jobs, at_once):
         yield job[0], labels.ground

@@ -98,12 +98,9 @@ class Points:
         if m < 2:
             return 1.0
         known = _SPACINGS.setdefault(self.cloud, {})
-        if m not in known:
-            known[m] = self._measured_spacing()
-        return known[m]
-
-    def _measured_spacing(self) -> float:
-        sides, m = np.maximum(self.extent[1] - self.extent[0], QUANTUM), len(self.xyz)
+        if m in known:
+            return known[m]
+        sides = np.maximum(self.extent[1] - self.extent[0], QUANTUM)
         spacing = float(np.sqrt(sides.prod() / m))
         for _ in range(3):
             cell = max(3 * spacing, float(sides.max()) / 2**15)
@@ -111,6 +108,7 @@ class Points:
             before, spacing = spacing, float(np.sqrt(min(area, sides.prod()) / m))
             if abs(spacing - before) < 0.01 * before:
                 break
+        known[m] = spacing
         return spacing
 
     def near_core(self, distance: float) -> np.ndarray:

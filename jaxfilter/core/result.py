@@ -6,16 +6,14 @@ import dataclasses
 import enum
 import json
 import os
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
-from zipfile import BadZipFile
 
 import jax
 import numpy as np
 
-from .errors import DAMAGED, InputError, OutputError, warn
+from .errors import DAMAGED_ARRAYS, InputError, OutputError, warn
 from .output import output_errors, replacing
 from .version import __version__
 from .water import WaterCells
@@ -190,8 +188,8 @@ class FilterResult:
             "cloud": run.cloud.digest(),
             "seconds": run.seconds,
         }
-        plain: dict[str, Any] = json.loads(json.dumps(facts, default=_plain))
-        return plain
+        found: dict[str, Any] = json.loads(json.dumps(facts, default=plain))
+        return found
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the result to a file of NumPy (``.npz``): all arrays, and status, counts and :attr:`provenance` as JSON in
@@ -208,7 +206,7 @@ class FilterResult:
         if self.water_cells is not None:
             arrays |= {f"water_{name}": np.asarray(values) for name, values in vars(self.water_cells).items()}
         facts = {"format": _FORMAT, "status": self.status.name, "info": self.info, "trace": trace}
-        text = json.dumps(facts | {"provenance": self.provenance}, default=_plain)
+        text = json.dumps(facts | {"provenance": self.provenance}, default=plain)
         with output_errors(path):
             if path.exists() and not overwrite:
                 raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
@@ -241,7 +239,7 @@ class FilterResult:
                 raise ValueError(f"{wrong[0]} has another length than ground")
             more = {"info": facts["info"], "trace": facts["trace"], "loaded": facts["provenance"], "water_cells": cells}
             return cls(**arrays, status=Status[facts["status"]], **more)
-        except (*DAMAGED, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
+        except DAMAGED_ARRAYS as error:
             raise InputError(f"{path}: is no result that FilterResult.save has written ({error})") from error
 
     def to_xarray(self) -> xarray.Dataset:
@@ -299,7 +297,7 @@ def key_words(key: Any) -> list[Any] | None:
     return None if key is None else np.asarray(jax.random.key_data(key)).tolist()
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """What JSON does not hold, as what it holds."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 

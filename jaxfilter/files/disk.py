@@ -14,12 +14,7 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from ..core.errors import InputError, OutputError, warn
-from ..core.output import UNFINISHED as UNFINISHED
-from ..core.output import output_errors as output_errors
-from ..core.output import replacing
-from ..core.output import sync as sync
-from ..core.reading import Bounds as Bounds
-from ..core.reading import check_bounds as check_bounds
+from ..core.output import UNFINISHED, output_errors, replacing
 from .storage import Place, Remote
 
 CHANGED_IN_READING = "the file changed while it was read; read it again when it is complete"

@@ -22,9 +22,9 @@ from ..core.echoes import sample
 from ..core.errors import InputError, OutputError, warn
 from ..core.inputs import COLUMN_TYPES
 from ..core.process import need_threads
-from ..core.reading import inside
+from ..core.reading import Bounds, inside
 from ..core.units import CRS_RECORDS, PROJECTION, WKT
-from .disk import CHANGED_SINCE, Bounds, opened
+from .disk import CHANGED_SINCE, opened
 from .guard import chunk_table, laszip_record, pieces, reading_errors
 from .header import COPC, EXTRA_BYTES, HEADER_LENGTHS, LASZIP, RECORD_LENGTHS, Header, Record
 from .storage import Place, Remote

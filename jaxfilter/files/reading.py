@@ -15,11 +15,11 @@ from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.echoes import Numbering, numbering, sample
 from ..core.errors import InputError, warn
 from ..core.inputs import COLUMN_TYPES, is_laspy
-from ..core.reading import Reading, inside
+from ..core.reading import Bounds, Reading, inside
 from ..core.result import Progress, silent
 from ..core.units import CRS_RECORDS, Reference, Units, check_lengths, linear_units, reference_of, sampled
 from .classes import Classes, class_changes
-from .disk import Bounds, identify, opened
+from .disk import identify, opened
 from .guard import check_chunks, read_header, reading_errors
 from .header import Header
 from .points import (

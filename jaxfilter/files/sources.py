@@ -17,9 +17,9 @@ import pyproj
 from ..core.cloud import PointCloud
 from ..core.errors import InputError
 from ..core.frame import ends
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.units import NAMED_UNITS, NOTHING, Reference, Stated, Units, not_metric, sampled
-from .disk import Bounds, opened
+from .disk import opened
 from .header import HEADER_LENGTHS
 from .points import ALL, CLOUD, Handle, Points, coordinates, echo_keys, first_points, read_points
 from .reading import FARTHEST, LasFile, kept_file

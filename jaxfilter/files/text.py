@@ -21,9 +21,9 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.echoes import Numbering, numbering
 from ..core.errors import InputError
 from ..core.inputs import COLUMN_TYPES, LARGEST
-from ..core.reading import Reading, inside
+from ..core.reading import Bounds, Reading, inside
 from ..core.units import check_lengths, sampled
-from .disk import CHANGED_SINCE, Bounds, Identity, opened
+from .disk import CHANGED_SINCE, Identity, opened
 from .guard import reading_errors
 
 TEXT_SUFFIXES = (".txt", ".xyz", ".csv")

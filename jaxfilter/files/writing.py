@@ -131,7 +131,7 @@ def write(
     if classes is not None and named != Classes():
         raise ParameterError(f"classes={classes!r}: holds the other settings of classes as well; name them there only")
     added = Additions.of_heights(heights, replace_z)
-    added = dataclasses.replace(added, columns={**_quantities(result, check_extra(extra)), **added.columns})
+    added = dataclasses.replace(added, columns={**quantities_of(result, check_extra(extra)), **added.columns})
     return write_cloud(place_of(path), cloud, result, classes or named, added, Replacing(overwrite, in_place))
 
 
@@ -143,7 +143,8 @@ def check_extra(names: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def _quantities(result: FilterResult | np.ndarray | None, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+def quantities_of(result: FilterResult | np.ndarray | None, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """f32[n] by name. Raises: ParameterError for what the method does not state. Warns: of doubt that is little worth."""
     if names and not isinstance(result, FilterResult):
         raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
     found = {name: getattr(result, name) for name in names}

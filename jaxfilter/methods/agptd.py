@@ -129,5 +129,4 @@ class AGPTD(OutlierRadius, OutlierFate, PTD):
 
     def growth(self, network: Network) -> Growth:
         """Points are mirrored over facets steeper than the limit, or than the steepest cell of the seeds."""
-        mirror = Mirror(network.info["terrain_angle"])
-        return dataclasses.replace(super().growth(network), mirror=mirror)
+        return dataclasses.replace(super().growth(network), mirror=Mirror(network.info["terrain_angle"]))

@@ -140,6 +140,5 @@ class IPTD(TerrainAngle):
             "removed_seeds": len(potential) - len(seeds),
             "downward_rounds": len(out.trace),
         }
-        border = network.xyz[network.virtual, :2]
-        network = one_network(points, np.flatnonzero(downward.ground), border, outliers)
+        network = one_network(points, np.flatnonzero(downward.ground), network.xyz[network.virtual, :2], outliers)
         return dataclasses.replace(network, info=info, before=downward)

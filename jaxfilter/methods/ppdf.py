@@ -164,13 +164,9 @@ class PPDF(Filter):
         """The first cells of the planes, and whole ones of the others."""
         return period(self.cell, self.canopy_cell, self.reference_cell or self.cell)
 
-    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
-        """bool[m]: distances from local planes, f32[m], metres, up to a limit, on either side."""
-        return np.abs(distance) <= limit
-
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m]: references, and points that are near to their local planes."""
-        return reference | self._within(distance, self.max_distance)
+        return reference | (np.abs(distance) <= self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -184,7 +180,7 @@ class PPDF(Filter):
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = _draws(jax.random.key(0) if key is None else key)
+        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (HYPOTHESES, 3), jnp.float32)
         search = PlaneSearch(self.cell, self.min_points, INLIER_DISTANCE, self.division_distance, self.max_slope)
         counted = under if self.seeds == "planes" else np.zeros_like(under)
         planes = progressive_planes(points, counted, draws, search)
@@ -208,7 +204,7 @@ class PPDF(Filter):
             values[may_be & ~reference] = np.nan
         around = self._around(xyz, np.flatnonzero(may_be & ~reference), side)
         growing = GroundReferences(
-            around, reference, over, lambda distance: self._within(distance, self.reference_distance), workers
+            around, reference, over, lambda distance: np.abs(distance) <= self.reference_distance, workers
         )
         status = grow(growing, self.max_rounds, lambda share, step: progress(0.3 + 0.4 * share, step), trace)
         reference = growing.ground
@@ -271,12 +267,6 @@ class PPDF(Filter):
         lowest_of = np.where(cells.seen, cells.lowest, np.float32(np.inf))
         on_object, low = look_up(points.xyz, cells, np.asarray(raised, np.float32), lowest_of)
         return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)
-
-
-@jax.jit
-def _draws(key: jax.Array) -> jax.Array:
-    """f32[:data:`HYPOTHESES`, 3], 0 to 1."""
-    return jax.random.uniform(key, (HYPOTHESES, 3), jnp.float32)
 
 
 @passed.register(PPDF)

@@ -44,8 +44,7 @@ def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
         return clouds[0]
     moved, east = [np.zeros((0, 3))], 0.0
     for cloud in clouds:
-        factor = np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
-        xyz = cloud.origin * factor + cloud.xyz[cloud.candidate]
+        xyz = cloud.origin * cloud.units.factor + cloud.xyz[cloud.candidate]
         if not len(xyz):
             continue
         corner = np.floor(xyz[:, :2].min(axis=0) / cell) * cell
@@ -162,8 +161,7 @@ class STIN(OutlierFate, SlopeMirroring):
         if self.outlier_surface == "quadratic":
             return np.abs(points.xyz[:, 2] - quadratic_trend(points.xyz, _OUTLIER_CELL)) > self.outlier_distance
         grid = grid_over(points.xyz, _OUTLIER_CELL, points.offset(_OUTLIER_CELL), name="cell of STIN's outlier surface")
-        low = low_trend(points.xyz, grid.x0, grid.y0, _OUTLIER_CELL)
-        return low - points.xyz[:, 2] > self.outlier_distance
+        return low_trend(points.xyz, grid.x0, grid.y0, _OUTLIER_CELL) - points.xyz[:, 2] > self.outlier_distance
 
     def grids(self, points: Points) -> list[Grid]:
         """Grids of square cells from ``seed_cell`` down to ``final_cell``, each half as large as the one before."""

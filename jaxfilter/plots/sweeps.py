@@ -256,7 +256,9 @@ class _Places:
         if numeric and not even:
             self.x = values.astype(np.float64)
             self.kinds = np.unique(self.x)
-            self.log = _is_logarithmic(self.kinds)
+            low, middle, high = self.kinds[0], float(np.median(self.kinds)), self.kinds[-1]
+            if low > 0 and high >= 4 * low:  # are they spread evenly in their logarithm rather than evenly?
+                self.log = abs(math.log(middle / math.sqrt(low * high))) < abs(math.log(middle / ((low + high) / 2)))
             return
         kinds = list(dict.fromkeys(values.tolist()))
         self.x = np.array([kinds.index(value) for value in values.tolist()], np.float64)
@@ -281,14 +283,6 @@ class _Places:
             axis.set_minor_locator(NullLocator())
         if len(self.kinds) <= _TICKS:
             axis.set_ticks(self.kinds, [f"{tick:.4g}" for tick in self.kinds])
-
-
-def _is_logarithmic(values: np.ndarray) -> bool:
-    """Whether sorted values are spread evenly in their logarithm rather than evenly."""
-    low, middle, high = values[0], float(np.median(values)), values[-1]
-    if low <= 0 or high < 4 * low:
-        return False
-    return abs(math.log(middle / math.sqrt(low * high))) < abs(math.log(middle / ((low + high) / 2)))
 
 
 def _label(axis: Any, dataset: xarray.Dataset, name: str, place: _Places) -> None:

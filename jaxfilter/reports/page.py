@@ -106,7 +106,12 @@ def report(
     path, notify = Path(path), progress or silent
     check_suffix(path, PAGE_SUFFIXES)
     cloud = as_cloud(cloud)
-    result, truth = as_result(cloud, result), _read_reference(cloud, reference)
+    result, truth = as_result(cloud, result), None
+    if reference is not None:
+        labels, counted = reference_labels(reference)
+        if len(labels) != len(cloud):
+            raise InputError(f"reference has {len(labels)} labels for {len(cloud)} points: use the same points")
+        truth = np.where(counted, labels, -1).astype(np.int8)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
         slider = steps_of(result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
@@ -123,16 +128,6 @@ def report(
         temporary.write_text(page, encoding="utf-8")
     notify(1.0, "done")
     return path
-
-
-def _read_reference(cloud: PointCloud, reference: Any) -> np.ndarray | None:
-    """i8[n], of a reference: 1 = ground, 0 = object, -1 = neither. Raises: InputError for another number of labels."""
-    if reference is None:
-        return None
-    truth, counted = reference_labels(reference)
-    if len(truth) != len(cloud):
-        raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
-    return np.where(counted, truth, -1).astype(np.int8)
 
 
 def _collect(

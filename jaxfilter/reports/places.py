@@ -13,9 +13,10 @@ import scipy.ndimage
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
+from ..core.reading import Bounds
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
-from ..files.disk import Bounds, check_suffix
+from ..files.disk import check_suffix
 from ..terrain.accuracy import OFF
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of
@@ -170,7 +171,7 @@ def find_suspects(
         return Suspects(np.zeros(0, SUSPECT), 0.0)
     side, metre = SIDE / cloud.units.xy, cloud.units.xy
     grid = RasterGrid.over(extent_of(cloud) if window is None else window, side, metre, most_cells(len(cloud)))
-    grid = RasterGrid(side, grid.left - 1, grid.bottom - 1, grid.columns + 2, grid.rows + 2)
+    grid = grid.grown(1)
     at = cells_of(cloud, grid)
     data = np.zeros(grid.shape, bool)
     data.flat[at if cloud.valid is None else at[cloud.valid]] = True

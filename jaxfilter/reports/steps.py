@@ -120,7 +120,6 @@ def step_values(filter_: Filter, field: str, count: int) -> list[float]:
     if count <= MOST_CLASSIFIED:  # few: near the present one
         low, high = max(low, value / 2) if value > 0 else low, min(high, 2 * value) if value > 0 else high
     scale = known.scale if known.scale != "log" or low > 0 else "linear"
-    wanted = Range(low, high, scale)
-    drawn = {float(f"{wanted.at(u):.3g}") for u in np.linspace(0, 1, count)}
+    drawn = {float(f"{Range(low, high, scale).at(u):.3g}") for u in np.linspace(0, 1, count)}
     nearest = min(drawn, key=lambda one: abs(one - value))
     return sorted(drawn - {nearest} | {value})

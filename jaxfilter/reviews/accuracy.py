@@ -18,10 +18,10 @@ import shapely
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import DAMAGED, InputError, OutputError
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.units import vertical
 from ..core.version import __version__
-from ..files.disk import Bounds, check_suffix, new_file
+from ..files.disk import check_suffix, new_file
 from ..files.header import FLOATS
 from ..files.points import read_points
 from ..files.reading import open_las

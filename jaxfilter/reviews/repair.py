@@ -124,8 +124,11 @@ def repair(cloud: PointCloud, ground: np.ndarray, site: VerdictSite, filter_: OS
         if len(wet := np.flatnonzero(_find_inside(points, shape) & (word == WATER))):
             seeds[wet[_find_surface(points.xyz[wet])]] = True
     water = seeds & (word == WATER)
-    if (places := word == GROUND).any():
-        seeds[_find_seeds(points, places & ~filter_.bar(points).low, seeds)] = True
+    if (places := word == GROUND).any():  # the lowest of each cell, unless it rises steeply from another
+        counted = places & ~filter_.bar(points).low
+        low = lowest_on_grid(points, lattice_over(points.xyz, SIDE, points.offset(SIDE)), ~counted)
+        others = np.union1d(low, np.flatnonzero(seeds))
+        seeds[low[~rising(points.xyz, low, others, BESIDE, STEEPEST_TERRAIN)]] = True
     among = (word == OBJECT) | (rim == OBJECT)
     barred = _find_sticking_out(points, seeds, among)
     barred &= _find_standing(points, seeds & ~among, among, filter_)
@@ -157,14 +160,6 @@ def _find_zones(points: Points, site: VerdictSite) -> tuple[np.ndarray, np.ndarr
                     rim[_find_inside(points, one.shape.buffer(PLACE_RIM / points.cloud.units.xy))] = said
     rim[word != ""] = ""
     return word, rim
-
-
-def _find_seeds(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`SIDE` metres from the anchor, but for
-    those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST_TERRAIN`."""
-    low = lowest_on_grid(points, lattice_over(points.xyz, SIDE, points.offset(SIDE)), ~counted)
-    others = np.union1d(low, np.flatnonzero(seeds))
-    return low[~rising(points.xyz, low, others, BESIDE, STEEPEST_TERRAIN)]
 
 
 def _find_surface(xyz: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 
 from ..core.errors import InputError, warn
+from ..core.reading import Bounds
 from ..engines.neighbours import groups
-from ..files.disk import Bounds
 from ..files.vectors import in_system, read_shapes
 from ..reports.places import SIDE
 

@@ -280,8 +280,7 @@ def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
 def _between(surface: Surface, xyz: jax.Array) -> Heights:
     """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]
-    tables = (surface.z, surface.slope, highest, lowest)
-    base, slope, ceiling, floor = cell_values(xyz, tables, surface.grid)
+    base, slope, ceiling, floor = cell_values(xyz, (surface.z, surface.slope, highest, lowest), surface.grid)
     return Heights(z - base, slope, z - ceiling, floor - z)
 
 

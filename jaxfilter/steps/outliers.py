@@ -171,7 +171,9 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     at = number[at]
     lowest = [lowest_in_cells(at, level, len(cells), rows=False)[0] for level in (z, points.xyz[:, 2])]
     around = cells.around()
-    low = _Low(cells, cell, around, Basins(_close_gaps(lowest[0], around), around), *lowest)
+    closed, empty = lowest[0].copy(), np.flatnonzero(np.isinf(lowest[0]))  # wider voids stay walls
+    closed[empty] = np.append(lowest[0], np.float32(np.inf))[around[:, empty]].min(axis=0)
+    low = _Low(cells, cell, around, Basins(closed, around), *lowest)
     level = np.full(len(cells), -np.inf, np.float32)
     clusters = 0
     for times in (1, FARTHER):
@@ -220,15 +222,6 @@ class _Low(NamedTuple):
         new = int((found & ~(self.z[bottom] < level[bottom])).sum())
         level[pits.cell] = np.maximum(level[pits.cell], np.where(found, rim, -np.inf)[pits.owner])
         return new
-
-
-def _close_gaps(lowest: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """f32[c] with empty (+inf) cells set to the lowest of their eight neighbours; wider voids stay walls."""
-    beside = np.append(lowest, np.float32(np.inf))
-    empty = np.flatnonzero(np.isinf(lowest))
-    closed = lowest.copy()
-    closed[empty] = beside[around[:, empty]].min(axis=0)
-    return closed
 
 
 def _alone(
@@ -281,8 +274,7 @@ def _surroundings(
         for i in range(steps):
             over = (ahead[:, i, None] * distance + behind * distance[i]) / (distance[i] + distance)
             line = np.minimum(line, over.min(axis=1))
-    one_sided = np.where(np.isfinite(least), least, -np.inf)
-    return np.where(np.isfinite(line), line, one_sided)
+    return np.where(np.isfinite(line), line, np.where(np.isfinite(least), least, -np.inf))
 
 
 def bar_outliers(

@@ -45,7 +45,10 @@ def clustered_seeds(
     noise = np.zeros(s, bool)
     long_facet = np.flatnonzero(square.max(axis=1) > long_edge**2)
     noise[facet[long_facet][z[long_facet] == z[long_facet].max(axis=1, keepdims=True)]] = True
-    cut = (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
+    a, b, c = np.sort(square, axis=1).T
+    cosine = (b + c - a) / (2 * np.sqrt(np.maximum(b * c, 1e-12)))  # of the smallest angle, opposite the shortest edge
+    narrow = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) < NARROW
+    cut = narrow & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
     separates = noise[facet].any(axis=1) | cut
     row, side = np.nonzero((beside >= 0) & ~separates[beside] & ~separates[:, None])
     cluster = groups(row, beside[row, side], len(facet))
@@ -59,12 +62,6 @@ def clustered_seeds(
     keep = np.zeros(s, bool)
     keep[facet[inner[good[cluster[inner]]]]] = True
     return keep
-
-
-def _smallest_angle(square: np.ndarray) -> np.ndarray:
-    """f64[t], degrees, of triangles with squared edges f64[t, 3]: the angle opposite the shortest edge."""
-    a, b, c = np.sort(square, axis=1).T
-    return np.degrees(np.arccos(np.clip((b + c - a) / (2 * np.sqrt(np.maximum(b * c, 1e-12))), -1.0, 1.0)))
 
 
 def _slope(u: np.ndarray, v: np.ndarray) -> np.ndarray:

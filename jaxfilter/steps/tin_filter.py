@@ -57,9 +57,8 @@ class TinFilter(OutlierFilter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Above four points per square metre, ranging noise makes steep angles at short range."""
-        dense = spacing < _DENSE
         window = {} if largest_building is None else {cls.WINDOW: largest_building}
-        return {"noise_floor": 0.1 if dense else 0.0, **window}
+        return {"noise_floor": 0.1 if spacing < _DENSE else 0.0, **window}
 
     def halo(self) -> float:
         """Four windows: growth goes on from facet to facet, and a facet spans one and a half."""

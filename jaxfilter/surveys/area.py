@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ..core.errors import InputError, ParameterError, warn
-from ..core.reading import Reading
-from ..files.disk import Bounds
+from ..core.reading import Bounds, Reading
 from ..files.vectors import in_system, read_shapes
 from .collection import Collection
 

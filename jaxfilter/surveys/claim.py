@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ..core.errors import InputError, OutputError, ParameterError
+from ..core.output import output_errors, sync
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import check_own, existing, identify, is_there, output_errors, sync, warn_of_names
+from ..files.disk import check_own, existing, identify, is_there, warn_of_names
 from ..files.storage import Place, Remote, place_of
 from .options import RunOptions
 from .report import MAP, REPORT

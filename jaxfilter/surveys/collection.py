@@ -17,9 +17,8 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError, warn
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.units import Stated, Units, vertical
-from ..files.disk import Bounds
 from ..files.sources import Source, describe_file, stated_bounds, with_true_extent
 from ..files.storage import Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT
@@ -361,9 +360,8 @@ def open(
             if uri in entries:
                 repeated.append(uri)
             entries.setdefault(uri, entry)
-    alone = len(entries) == 1
     with ThreadPoolExecutor(_THREADS) as pool:
-        found = list(pool.map(lambda entry: _source_of(entry, stated, alone), entries.values()))
+        found = list(pool.map(lambda entry: _source_of(entry, stated, len(entries) == 1), entries.values()))
     unreadable = [one for one in found if not isinstance(one, Source)]
     collection = Collection((one for one in found if isinstance(one, Source)), unreadable, dict.fromkeys(repeated))
     if not collection:

@@ -11,8 +11,8 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError
+from ..core.reading import Bounds
 from ..core.units import Units, difference
-from ..files.disk import Bounds
 from ..files.sources import Source
 
 OVERLAP = 0.001

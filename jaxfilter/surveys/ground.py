@@ -19,7 +19,7 @@ from ..files.classes import Classes, Finding, Found, class_changes, findings_of
 from ..files.disk import check_suffix
 from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.vectors import VECTOR_SUFFIXES
-from ..files.writing import Additions, Replacing, check_extra, write_cloud
+from ..files.writing import Additions, Replacing, check_extra, quantities_of, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
 from .kept import WaterWanted, kept_water, list_places, list_water, remember, suspects_in
@@ -76,11 +76,7 @@ class GroundProduct(Product):
 
     def columns(self, around: Around, result: FilterResult) -> dict[str, np.ndarray]:
         """f32[k]: the quantities ``extra`` of the points of a core, by name. Raises: ParameterError if the method has none."""
-        found = {name: getattr(result, name) for name in self.extra}
-        if absent := [name for name, values in found.items() if values is None]:
-            raise ParameterError(f"extra={self.extra!r}: the method states no {absent[0]}; OST does")
-        if "doubt" in found and "doubt" in result.info:
-            warn(result.info["doubt"])
+        found = quantities_of(result, self.extra)
         for name, values in found.items():
             if around.cloud.candidate.any() and np.isnan(values).all():
                 warn(f"extra: {name} is NaN for all points: the method does not compute it")
@@ -89,8 +85,7 @@ class GroundProduct(Product):
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
-        additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, Replacing(**task.how))
+        write_cloud(task.target, cloud, found, self.classes, Additions(columns=columns), Replacing(**task.how))
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import zipfile
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -13,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import DAMAGED, InputError, warn
+from ..core.errors import DAMAGED_ARRAYS, InputError, warn
+from ..core.output import output_errors
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
-from ..files.disk import is_there, new_file, output_errors
+from ..files.disk import is_there, new_file
 from ..files.storage import Place, Remote, place_of
 from ..files.vectors import write_features
 from ..terrain.levels import WaterRuns, outlines
@@ -104,7 +104,7 @@ def remembered(wanted: WaterWanted, uris: Iterable[str]) -> WaterWanted:
                 arrays = dict(np.load(io.BytesIO(stream.read())))
             classes |= set(arrays.pop("classes").tolist())
             parts += [WaterRuns(**arrays)] if len(arrays["run"]) else []
-        except (*DAMAGED, EOFError, zipfile.BadZipFile) as error:
+        except DAMAGED_ARRAYS as error:
             raise InputError(f"{file}: is damaged ({error}): remove it, or classify the files anew") from error
         if parts and not np.array_equal(parts[0].frame, parts[-1].frame):
             raise InputError(

@@ -16,8 +16,7 @@ from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, of_scene
 from ..core.params import declared
 from ..core.points import canonical_points
-from ..core.reading import Reading
-from ..files.disk import Bounds
+from ..core.reading import Bounds, Reading
 from ..files.sources import read_window
 from .collection import Collection
 from .tiles import joined

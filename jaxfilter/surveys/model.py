@@ -16,8 +16,8 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, ParameterError, warn
 from ..core.grid import MAX_CELLS
 from ..core.inputs import class_numbers
-from ..core.reading import Reading
-from ..files.disk import Bounds, check_suffix
+from ..core.reading import Bounds, Reading
+from ..files.disk import check_suffix
 from ..files.storage import Place, place_of
 from ..terrain.contours import Contours, write_contours
 from ..terrain.edge import Edge, EdgeRule, Part

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ..core.reading import Bounds
 from ..core.units import vertical
 from ..core.version import __version__
 from ..files.classes import class_name
-from ..files.disk import Bounds, new_file
+from ..files.disk import new_file
 from ..files.storage import Place
 from ..reports.parts import map_card, page_of, parameter_table, table
 from .collection import Collection, common

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.cloud import QUANTUM
 from ..core.errors import SIZES, InputError, ParameterError, check_positive
-from ..files.disk import Bounds
+from ..core.reading import Bounds
 from ..files.sources import SCATTERED, SQUARE, WHOLE, Squares, square_keys, squares_of
 from .collection import Collection
 from .product import Cut
@@ -224,8 +224,7 @@ def _squares_of(where: Where, cut: Cut, side: float) -> np.ndarray:
     beyond = cut.beyond / where.metre
     low, high = where.low, where.high  # nothing is made beyond all of them
     low, high = np.maximum(low - beyond, low.min(axis=0)), np.minimum(high + beyond, high.max(axis=0))
-    box = np.concatenate([low, high], axis=1)
-    square = _covered(box, np.array([step, step]))[1]
+    square = _covered(np.concatenate([low, high], axis=1), np.array([step, step]))[1]
     column, row = square[np.unique(square_keys(square), return_index=True)[1]].T
     return np.stack([column, row, column + 1, row + 1], axis=1) * step
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter
+from ..core.output import output_errors
 from ..core.reading import Reading
 from ..files.classes import Classes
-from ..files.disk import check_suffix, is_there, output_errors
+from ..files.disk import check_suffix, is_there
 from ..files.storage import Place, place_of
 from ..files.vectors import VECTOR_SUFFIXES
 from ..terrain.interpolation import Interpolation

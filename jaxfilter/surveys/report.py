@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 import numpy as np
 
 from ..core.errors import JaxfilterWarning
+from ..core.result import plain
 from ..files.disk import new_file
 from ..files.storage import Place
 
@@ -70,7 +71,7 @@ class Summary:
     def as_json(self) -> str:
         """As text; what counts by other keys than text becomes pairs."""
         pairs = {name: list(getattr(self, name).items()) for name in ("classes", "unread")}
-        return json.dumps(vars(self) | pairs, default=_plain)
+        return json.dumps(vars(self) | pairs, default=plain)
 
     @classmethod
     def of_json(cls, text: str) -> Self:
@@ -79,10 +80,6 @@ class Summary:
         classes = {(old, new): count for (old, new), count in facts["classes"]}
         found.add(cls(**(facts | {"classes": classes, "unread": dict(facts["unread"])})))
         return found
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 class Forecast(NamedTuple):
@@ -192,7 +189,7 @@ class RunReport:
     def put_into(self, folder: Place) -> None:
         """Put the report, as JSON, and a map into a folder. Raises: OutputError."""
         with new_file(folder / REPORT, overwrite=True) as part:
-            part.write_text(json.dumps(self.as_dict(), indent=1, default=_plain) + "\n")
+            part.write_text(json.dumps(self.as_dict(), indent=1, default=plain) + "\n")
         self.draw(folder / MAP)
 
     def recalled(self, folder: Place) -> Self:

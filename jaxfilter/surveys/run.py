@@ -77,7 +77,9 @@ class TiledSurvey(Survey):
             if store.facts:
                 store.check_facts(store.facts, self._begin_of(product))
             with collected_warnings() as remarks:
-                product, plan = self._planned(product)
+                filter_, whole = self._filter()
+                product = dataclasses.replace(product, whole=whole, store=store, filter=filter_)
+                plan = self._plan(product.cut())
             self._record(product, plan)
             run = Run(product, plan, self.collection, targets, self.options)
             run.report.total.remarks.update(remarks)
@@ -129,12 +131,6 @@ class TiledSurvey(Survey):
         found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
         return product.REPORT(forecast=found)
 
-    def _planned(self, product: Product) -> tuple[Product, Plan]:
-        """What is to be made, and of which tiles."""
-        filter_, whole = self._filter()
-        product = dataclasses.replace(product, whole=whole, store=self.targets.store, filter=filter_)
-        return product, self._plan(product.cut())
-
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
@@ -184,7 +180,8 @@ class TiledSurvey(Survey):
 
     def _begin_of(self, product: Product) -> dict[str, Any]:
         """What is known of a run before its tiles are: it must be the same in a run that goes on."""
-        return {"version": __version__, "inputs": self._digest(), **self._asked(product)}
+        files = "".join(json.dumps([one.uri, one.count, one.identity]) for one in self.collection)
+        return {"version": __version__, "inputs": hashlib.sha256(files.encode()).hexdigest(), **self._asked(product)}
 
     def _asked(self, product: Product) -> dict[str, Any]:
         """What the command says, besides the files: it is the same before they are replaced and after."""
@@ -197,13 +194,6 @@ class TiledSurvey(Survey):
         names = files.uris if self.targets.in_place else None
         units = [files.units.xy, files.units.z]
         return {"units": units, "filter": filter_, "reading": reading, **product.facts(), "names": names}
-
-    def _digest(self) -> str:
-        """Tells the files, by name and content, from others."""
-        found = hashlib.sha256()
-        for source in self.collection:
-            found.update(json.dumps([source.uri, source.count, source.identity]).encode())
-        return found.hexdigest()
 
     def _check_inputs(self) -> None:
         """Raises: InputError if an input, which is to be replaced, was changed while the run was at work."""
@@ -252,7 +242,11 @@ class Run:
             self._carry_out(executor)
         finally:
             executor.close()
-        self._complete_report()
+        report, uris = self.report, self.collection.uris
+        report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.total.unread.items())]
+        report.files.sort()
+        self.product.complete(report, self.collection, self.targets, self.options)
+        report.elapsed = time.perf_counter() - self._start
 
     def _find_lowest(self, executor: Executor) -> None:
         """Measure the elevation of the lowest point of the collection, once, if the filter asks for it."""
@@ -350,13 +344,6 @@ class Run:
     def _fail(self, number: int, reason: str) -> None:
         self.report.failed.append({"file": self.collection[number].uri, "reason": reason})
 
-    def _complete_report(self) -> None:
-        report, uris = self.report, self.collection.uris
-        report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.total.unread.items())]
-        report.files.sort()
-        self.product.complete(report, self.collection, self.targets, self.options)
-        report.elapsed = time.perf_counter() - self._start
-
     def _show_step(self, share: float, step: str) -> None:
         """The progress of a filter in this process."""
         if len(self.plan) == 1:
@@ -373,6 +360,5 @@ class Run:
 def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = False) -> Tile:
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
-    sources = tuple(collection[f] for f in files)
     core, window = (None, None) if plan.whole else (plan.core(number), plan.window(number))
-    return Tile(number, core, window, files, sources, patient)
+    return Tile(number, core, window, files, tuple(collection[file] for file in files), patient)

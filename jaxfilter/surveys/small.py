@@ -83,8 +83,7 @@ def _set_up(survey: Survey, product: Product, tile: Tile) -> Product:
     recipe, whole = survey.recipe, whole_of(survey.options.measures)
     if recipe is None:
         return dataclasses.replace(product, whole=whole or Whole())
-    by_data = recipe.by_data
-    filter_ = recipe.on(read_tile(tile, survey.reading, whole, keep=True).cloud) if by_data else recipe.alone()
+    filter_ = recipe.on(read_tile(tile, survey.reading, whole, keep=True).cloud) if recipe.by_data else recipe.alone()
     product = dataclasses.replace(product, filter=filter_, whole=whole)
     if whole is not None and sees_lowest(filter_):
         product = dataclasses.replace(product, whole=dataclasses.replace(whole, lowest=lowest_in_tile(product, tile)))

@@ -17,7 +17,6 @@ import json
 import os
 import shutil
 import uuid
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,9 @@ from typing import Any
 import filelock
 import numpy as np
 
-from ..core.errors import DAMAGED, InputError, OutputError
-from ..files.disk import Seal, check_own, output_errors, seal_file, sync
+from ..core.errors import DAMAGED, DAMAGED_ARRAYS, InputError, OutputError
+from ..core.output import output_errors, sync
+from ..files.disk import Seal, check_own, seal_file
 from ..files.storage import Place
 from .product import KEPT, FileTask, Memory
 from .report import Summary
@@ -167,7 +167,7 @@ class Store(Memory):
         path = self.tile(number)
         try:
             found = _loaded(path, path.stat().st_mtime_ns)
-        except (*DAMAGED, EOFError, zipfile.BadZipFile) as error:
+        except DAMAGED_ARRAYS as error:
             raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again") from error
         return found if names is None else {name: found[name] for name in names if name in found}
 

@@ -12,8 +12,8 @@ from ..core.cloud import PointCloud
 from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.inputs import class_numbers
+from ..core.reading import Bounds
 from ..core.result import FilterResult
-from ..files.disk import Bounds
 from ..terrain.interpolation import Heights, Linear
 from .measures import Recipe, recipe_of
 from .plan import window_around

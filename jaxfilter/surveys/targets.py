@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ..core.errors import OutputError, ParameterError
-from ..files.disk import check_writable, is_there, output_errors
+from ..core.output import output_errors
+from ..files.disk import check_writable, is_there
 from ..files.storage import Place, Remote, place_of
 from ..files.text import TEXT_SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES

@@ -16,9 +16,8 @@ import numpy as np
 from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError
 from ..core.inputs import COLUMN_TYPES
-from ..core.reading import Reading
+from ..core.reading import Bounds, Reading
 from ..core.result import Progress, silent
-from ..files.disk import Bounds
 from ..files.sources import Source, read_window
 from .area import within
 from .collection import common
@@ -109,7 +108,11 @@ def _read(tile: Tile, reading: Reading, whole: Whole | None) -> Around:
     keys, shared = [np.zeros(0, np.uint64)], _overlapping(tile) if reading.drop_duplicates else set()
     left_out: dict[int, str] = {}
     for number, source in zip(tile.files, tile.sources, strict=True):
-        box = _box(tile.window, reading.bounds, source)
+        box = reading.bounds
+        if tile.window is not None:  # a little wider
+            (x0, y0, x1, y1), slack = tile.window, 4 * QUANTUM / source.metre
+            wide = (x0 - slack, y0 - slack, x1 + slack, y1 + slack)
+            box = wide if box is None else common(wide, box)
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             continue
         try:
@@ -169,16 +172,6 @@ def _again(cloud: PointCloud, file: np.ndarray, key: np.ndarray) -> np.ndarray:
     return again
 
 
-def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:
-    """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
-    if window is None:
-        return bounds
-    slack = 4 * QUANTUM / source.metre
-    x0, y0, x1, y1 = window
-    wide = (x0 - slack, y0 - slack, x1 + slack, y1 + slack)
-    return wide if bounds is None else common(wide, bounds)
-
-
 def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
     """bool[n]: points in a box in file coordinates, half open, as the quantised coordinates have it. Invalid points lie at
     the corner of the cloud, and are inside where that is."""
@@ -198,9 +191,8 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Re
     first = clouds[0]
     if len(clouds) == 1:
         return dataclasses.replace(first, whole=whole)
-    factor = np.array([first.units.xy, first.units.xy, first.units.z])
     origin = np.min([cloud.origin for cloud in clouds], axis=0)
-    shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
+    shifts = [np.rint((cloud.origin - origin) * first.units.factor).astype(np.float32) for cloud in clouds]
     columns: dict[str, Any] = {}
     for name in (*COLUMN_TYPES, "reference", "valid"):
         parts = [getattr(cloud, name) for cloud in clouds]

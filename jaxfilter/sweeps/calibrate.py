@@ -106,16 +106,11 @@ class CrossValidation:
         count = np.bincount(owner)
         if len(count) < 2:
             raise InputError("labels: all of them lie in one block; label points in several places, or pass block=")
-        return _deal(count, self.folds)[owner]
-
-
-def _deal(sizes: np.ndarray, folds: int) -> np.ndarray:
-    """i64[n]: the fold of each part, so that all folds are about as large; at most as many as there are parts."""
-    fold_of, full = np.zeros(len(sizes), np.int64), np.zeros(min(folds, len(sizes)))
-    for number in np.argsort(-sizes, kind="stable"):  # the largest first, each to the fold that has least
-        fold_of[number] = int(np.argmin(full))
-        full[fold_of[number]] += sizes[number]
-    return fold_of
+        fold_of, full = np.zeros(len(count), np.int64), np.zeros(min(self.folds, len(count)))
+        for number in np.argsort(-count, kind="stable"):  # the largest first, each to the fold that has least
+            fold_of[number] = int(np.argmin(full))
+            full[fold_of[number]] += count[number]
+        return fold_of[owner]
 
 
 class Study:

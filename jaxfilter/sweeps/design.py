@@ -125,5 +125,4 @@ def sobol(size: int, dimensions: int, seed: Any) -> np.ndarray:
     """f64[size, dimensions]: the first points of a scrambled Sobol sequence."""
     from scipy.stats import qmc  # late: it takes half a second
 
-    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
-    return sequence.random_base2(math.ceil(math.log2(size)))[:size]
+    return qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(math.ceil(math.log2(size)))[:size]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, PointCloud
-from ..core.errors import DAMAGED, InputError
+from ..core.errors import DAMAGED_ARRAYS, InputError
 from ..core.reading import Bounds, inside
 from ..core.result import FilterResult
 from ..core.units import Units
@@ -66,7 +66,7 @@ def _read(path: Path, units: Units) -> Any:
         return read(path, units=units)
     try:
         return np.load(path)
-    except (*DAMAGED, EOFError) as error:
+    except DAMAGED_ARRAYS as error:
         raise InputError(f"{path}: cannot be read as an array of labels ({error})") from error
 
 

@@ -10,13 +10,12 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import xarray
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import DAMAGED, InputError, ParameterError
+from ..core.errors import DAMAGED_ARRAYS, InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate, ground_each
 from ..core.params import declared
 from ..core.result import Progress, key_words, silent
@@ -230,7 +229,7 @@ class _State:
             with np.load(path) as file:
                 data = dict(file)
             facts = json.loads(str(data["facts"]))
-        except (*DAMAGED, EOFError, BadZipFile) as error:
+        except DAMAGED_ARRAYS as error:
             raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:
@@ -294,10 +293,10 @@ def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCl
             share = (counts / len(plan.sets)).astype(np.float32)
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
     fields = {f.name: f for f in declared(base)}
-    coords: dict[str, Any] = {
-        name: ((name if grid else "set",), [_coordinate(value) for value in values], about(fields[name]))
-        for name, values in plan.axes.items()
-    }
+    coords: dict[str, Any] = {}
+    for name, values in plan.axes.items():  # names become one text, which the field takes as well
+        words = [("+".join(value) or "none") if isinstance(value, tuple) else value for value in values]
+        coords[name] = ((name if grid else "set",), words, about(fields[name]))
     if not grid:
         coords["set"] = np.arange(len(plan.sets))
     if several:
@@ -310,11 +309,6 @@ def _dataset(base: Filter, plan: Design, several: bool, named: dict[str, PointCl
         "groups": len(plan.groups),
     }
     return xarray.Dataset(variables, coords, attrs)
-
-
-def _coordinate(value: Any) -> Any:
-    """A value as a coordinate: names as one text, which the field takes as well."""
-    return ("+".join(value) or "none") if isinstance(value, tuple) else value
 
 
 def about(field: dataclasses.Field[Any]) -> dict[str, str]:

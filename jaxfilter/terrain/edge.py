@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ..core.cloud import PointCloud
-from ..files.disk import Bounds
+from ..core.reading import Bounds
 from .interpolation import nearest_point
 from .levels import WaterRuns
 from .outline import blocks_of

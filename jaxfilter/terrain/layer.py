@@ -14,9 +14,9 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError
 from ..core.frame import ends
 from ..core.points import check_extent
+from ..core.reading import Bounds, check_bounds
 from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
-from ..files.disk import Bounds, check_bounds
 from ..files.storage import Place
 from .edge import Edge, EdgeRule, Part
 from .interpolation import Heights, Interpolation

@@ -14,17 +14,16 @@ import scipy
 
 from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import warn
+from ..core.reading import Bounds
 from ..core.result import FilterResult
 from ..core.water import WaterCells
 from ..engines.neighbours import groups, touching
-from ..files.disk import Bounds
 from .outline import SNAP
 from .raster import RasterGrid
 from .runs import bodies, keys
 
 if TYPE_CHECKING:
     import geopandas
-    import shapely
 
 WATER = 9
 """ASPRS class of water."""
@@ -246,7 +245,10 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     shapes, heights = [], []
     for rows in np.split(order, np.flatnonzero(np.diff(levels.body[order])) + 1):
         shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
-        shape = _without_stairs(shape, step)
+        rings = [shape.exterior, *shape.interiors]
+        turns = [shapely.get_coordinates(shapely.segmentize(ring, 1.001 * step)) for ring in rings]
+        shell, *holes = (np.concatenate([at[:-1] + at[1:], at[:1] + at[1:2]]) / 2 for at in turns)
+        shape = shapely.simplify(shapely.Polygon(shell, holes), 1e-6 * step)  # from the middle of a side to the next
         low, high = z[rows].min(), z[rows].max()
         if low == high:
             shape = shapely.simplify(shape, 0)
@@ -261,16 +263,6 @@ def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
     found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
     found.insert(2, "area", found.area)
     return found
-
-
-def _without_stairs(shape: shapely.Geometry, step: float) -> shapely.Geometry:
-    """A polygon of cells with lines from the middle of a side of a cell to the next instead of corners."""
-    import shapely
-
-    rings = [shape.exterior, *shape.interiors]
-    corners = [shapely.get_coordinates(shapely.segmentize(ring, 1.001 * step)) for ring in rings]
-    shell, *holes = (np.concatenate([at[:-1] + at[1:], at[:1] + at[1:2]]) / 2 for at in corners)
-    return shapely.simplify(shapely.Polygon(shell, holes), 1e-6 * step)
 
 
 def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
@@ -312,7 +304,11 @@ def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np
     out, falls = most[of], (high - low > FALL)[of]
     if falls.any():
         rows = np.flatnonzero(falls)
-        links, length = _links(place[rows], middle[rows])
+        place, middle = place[rows] - place[rows].min(axis=0) + 1, middle[rows]
+        wide = place.max(axis=0) + 2
+        key = (place[:, 0] * wide[1] + place[:, 1]) * wide[2] + place[:, 2]  # ascending
+        links = np.column_stack(touching(key, wide[2]))  # blocks of one body that touch, at a corner too
+        length = np.hypot(*(middle[links[:, 0]] - middle[links[:, 1]]).T)
         out[rows] = _falling(level[rows], of[rows], links, length, out[rows])
     return out[block]
 
@@ -321,15 +317,6 @@ def _share(z: np.ndarray, group: np.ndarray, share: float) -> np.ndarray:
     """f64[g]: a quantile of each group, i64[n]; all numbers from 0 on are groups."""
     order, count = np.lexsort((z, group)), np.bincount(group)
     return z[order][np.cumsum(count) - count + (share * (count - 1)).astype(np.int64)]
-
-
-def _links(place: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[l, 2]: blocks of one body that touch, at a corner too; and f64[l], metres between their middles."""
-    low = place.min(axis=0) - 1
-    wide = (np.ptp(place, axis=0) + 3).astype(np.int64)
-    key = ((place[:, 0] - low[0]) * wide[1] + place[:, 1] - low[1]) * wide[2] + place[:, 2] - low[2]  # ascending
-    links = np.column_stack(touching(key, wide[2]))
-    return links, np.hypot(*(middle[links[:, 0]] - middle[links[:, 1]]).T)
 
 
 def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.ndarray, flat: np.ndarray) -> np.ndarray:

@@ -80,5 +80,4 @@ def blocks_of(cloud: PointCloud, grid: RasterGrid) -> Iterator[tuple[slice, np.n
 def _local(cloud: PointCloud, first: int, count: int, axis: int, cell: float) -> np.ndarray:
     """f64[count]: the centres of the cells along an axis, local metres; those farther than any point as :data:`_FAR`."""
     centre = (first + np.arange(count) + 0.5) * cell
-    local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / SNAP)) * SNAP
-    return np.clip(local, -_FAR, _FAR)
+    return np.clip(np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / SNAP)) * SNAP, -_FAR, _FAR)

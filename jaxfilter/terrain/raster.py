@@ -15,8 +15,9 @@ import pyproj
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
+from ..core.reading import Bounds
 from ..core.units import for_outputs, height_datum, horizontal, same_system
-from ..files.disk import Bounds, check_suffix, new_file
+from ..files.disk import check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
 if TYPE_CHECKING:

@@ -199,17 +199,16 @@ class GroundTin(GroundNodes):
         adaptive = self.growth.adaptive
         if adaptive is None or adaptive.of_ground != of_ground:
             return False
-        found = self._over_ground() if of_ground else self._over_neighbours()
+        if of_ground:  # of the ground points that are no vertices, in their facets
+            nodes = np.flatnonzero(self.ground & ~self.tin.vertex)
+            self.tin.locate(nodes)
+            found = self._judge(nodes, self.tin.where[nodes], _DEVIATION)
+        else:
+            found = self._over_neighbours()
         if len(found["distance"]) == 0:
             return False
         before, self.rule = self.rule, single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
         return loosened(self.rule, before)
-
-    def _over_ground(self) -> dict[str, np.ndarray]:
-        """Quantities of the ground points that are no vertices, in their facets."""
-        nodes = np.flatnonzero(self.ground & ~self.tin.vertex)
-        self.tin.locate(nodes)
-        return self._judge(nodes, self.tin.where[nodes], _DEVIATION)
 
     def _over_neighbours(self) -> dict[str, np.ndarray]:
         """Quantities of vertices over the facets across the edge from them; simulated ones left out."""
@@ -273,8 +272,7 @@ class GroundTin(GroundNodes):
         edge, to = other - one, p - one
         along = np.clip((to * edge)[:, :2].sum(axis=1) / (edge * edge)[:, :2].sum(axis=1), 0, 1)
         x, y, z = (to - along[:, None] * edge).T
-        away = np.hypot(x, y)
-        margin = np.abs(z) - beyond.height - beyond.slope[nodes] * away
+        margin = np.abs(z) - beyond.height - beyond.slope[nodes] * np.hypot(x, y)
         far = margin > 0
         out[rows] = far
         if "margin" in self.growth.kept:

@@ -82,8 +82,7 @@ class Tin:
         self.now, self._room = 0, dict[str, np.ndarray]()
         self._waiting, self._following = np.zeros(0, np.int32), np.zeros(0, np.int32)  # see walks.changed
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
-        of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
-        begin = np.array([self._one(part) for part in of_sheet])
+        begin = np.array([self._one(part) for part in np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))])
         self._first, self._hull = np.arange(0, 4 * len(begin), 4), np.full(len(begin), 3)
         corners = np.insert(begin, 3, walks.NOWHERE, axis=1)[:, _CORNERS]
         self.triangles = corners.reshape(-1, 3).astype(np.int32)
@@ -182,8 +181,7 @@ class Tin:
         """Insert nodes in threads, each of which keeps to a range of nodes; bool[n], those too close to another's range."""
         left, share = np.zeros(len(nodes), bool), -(-len(nodes) // self.workers)
         begins = range(0, len(nodes), share)
-        bounds = [0, *nodes[begins[1:]].tolist(), len(self.xyz)]
-        ranges = list(itertools.pairwise(bounds))
+        ranges = list(itertools.pairwise([0, *nodes[begins[1:]].tolist(), len(self.xyz)]))
         for step in range(0, share, NODES_AT_ONCE):
 
             def one(k: int, step: int = step) -> None:

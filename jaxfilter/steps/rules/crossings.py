@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -21,34 +21,6 @@ _BLOCK = 16
 """Cells along a side of the squares by which cells are grouped; it changes no result."""
 _HALF = 2
 """Cells on each side of one whose surroundings must be level."""
-
-
-class LowestSurface(NamedTuple):
-    """A grid of lowest points.
-
-    Attributes:
-        z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points; inside: those that the data
-            surround.
-        points: i64[rows, columns], how many are in each cell.
-    """
-
-    z: np.ndarray
-    seen: np.ndarray
-    inside: np.ndarray
-    points: np.ndarray
-
-
-class Crossed(NamedTuple):
-    """Bridge decks, and water.
-
-    Attributes:
-        deck: f32[rows, columns], elevations of decks, metres, NaN where there is none.
-        level: f32[rows, columns], those of the surface of water, also below what stands on it; clear: NaN at the shore, too.
-    """
-
-    deck: np.ndarray
-    level: np.ndarray
-    clear: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,9 +67,10 @@ class CrossingsRule(OstRule):
     def measure(self, scene: OstScene) -> None:
         """Where the surface falls upright on both sides."""
         ost = scene.ost
-        surface = LowestSurface(scene.z, scene.seen, scene.inside, number_in(scene.points, scene.cells))
         step, drop, area = (float(value) for value in (ost.roof_step, ost.roof_drop, ost.roof_area))
-        scene.flanked = self.flanks(surface, Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area))
+        sizes = Sizes(ost.cell, scene.spacing, 2 * ost.window, step, drop, area)
+        points = number_in(scene.points, scene.cells)
+        scene.flanked = self.flanks(scene.z, scene.seen, scene.inside, points, sizes)
 
     def seed(self, scene: OstScene) -> None:
         """What is at a deck or above, and what is above or below water, but at its shore, is never ground."""
@@ -118,11 +91,11 @@ class CrossingsRule(OstRule):
                 cloud, scene.level, (float(grid.x0), float(grid.y0)), float(grid.cell)
             )
 
-    def flanks(self, surface: LowestSurface, sizes: Sizes) -> Flanked:
-        """Where a surface falls upright on both sides, with voids filled from below."""
+    def flanks(self, z: np.ndarray, seen: np.ndarray, inside: np.ndarray, points: np.ndarray, sizes: Sizes) -> Flanked:
+        """Where a surface falls upright on both sides, with voids filled from below. [rows, columns] each: lowest elevations f32,
+        metres, none missing; bool, cells with points, and those that the data surround; i64, how many points are in each."""
         from ...engines.grid.shapes import flanks  # imports Numba
 
-        z, seen, inside, points = surface
         gap = max(2, math.ceil(min(self.gap * sizes.spacing / sizes.cell, max(z.shape))))
         z = np.where(inside, z, np.float32(np.inf))
         edge = inside & ~(seen | lowest(inside, 2 * gap + 1, outside=False))  # where slim triangles go on to anywhere
@@ -141,9 +114,11 @@ class CrossingsRule(OstRule):
             found = flanks(z, gap, np.float32(sizes.widest / sizes.cell), np.float32(self.fall * sizes.drop))
         return Flanked(z, points, sizes, gap, found)
 
-    def find(self, flanked: Flanked, objects: np.ndarray, slope: np.ndarray) -> Crossed:
-        """Decks and water: f32[rows, columns] each. Cells depend on others as far away as the data join them: a deck and a water
-        body are judged as a whole.
+    def find(
+        self, flanked: Flanked, objects: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Elevations of decks, of water, also below what stands on it, and of water without the shore: f32[rows, columns] each,
+        metres, NaN elsewhere. A deck and a water body are judged as a whole, however far the data join their cells.
 
         ``objects``: bool[rows, columns], cells that are no ground; ``slope``: f32[rows, columns], rise over run of the landscape.
         """
@@ -151,7 +126,7 @@ class CrossingsRule(OstRule):
         if flanked.flanks:
             deck = self._decks(flanked, objects, slope)
         z = np.where(np.isnan(deck), flanked.z, np.float32(np.inf))
-        return Crossed(deck, *self._waters(z, objects & np.isnan(deck), flanked.points, flanked.sizes.cell))
+        return (deck, *self._waters(z, objects & np.isnan(deck), flanked.points, flanked.sizes.cell))
 
     def _decks(self, flanked: Flanked, objects: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """f32[rows, columns]: elevation of decks, NaN elsewhere.
