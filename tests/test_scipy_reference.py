@@ -5,19 +5,40 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from user_filters.tin import Bender
 
 import jaxfilter as jf
 from jaxfilter.core.filter import ground_each
+from jaxfilter.core.params import filter_params, param, static
 from jaxfilter.core.points import canonical_points
+from jaxfilter.engines.tin.facets import Rule
+from jaxfilter.engines.tin.growth import Growth
 from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.reference import SciPyTin
 from jaxfilter.engines.tin.triangulation import triangulated
 from jaxfilter.steps.seeds import lowest_per_cell
+from jaxfilter.steps.tin_filter import TinFilter, surrounded
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments.bench.triangulation import METHODS, compared
+
+
+@filter_params
+class Bender(TinFilter):
+    """A user's filter, whose growth does not know of triangulations."""
+
+    BIBTEX = "@misc{bender, title = {A filter of one's own}}"
+    max_angle: float = param("the angle to a facet is at most this", "> 0 and < 90 degrees", default=12.0)
+    seed_cell: float = static("a square cell of this size has one seed", "> 0 m", default=40.0)
+
+    def start(self, points, workers, progress, trace=False):
+        outliers = self.outliers(points, workers)
+        seeds = lowest_per_cell(points, self.seed_cell, outliers.barred)
+        return surrounded(self, points, seeds, outliers, self.seed_cell)
+
+    def growth(self, network):
+        return Growth(Rule(max_angle=self.max_angle, max_distance=1.0))
+
 
 FILTERS = [
     *(

@@ -26,7 +26,7 @@ from jaxfilter.core.result import silent
 from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.engines.tin.growth import Growth, Network
 from jaxfilter.engines.tin.triangulation import Tin, lattice, triangulated
-from jaxfilter.steps.tin_filter import TinFilter
+from jaxfilter.steps.tin_filter import TinFilter, growth_of
 
 METHODS = ("ptd", "atin", "fptd", "stin", "agptd", "spf")
 KINDS = ("own", "scipy")
@@ -108,8 +108,8 @@ def compared(filter_: TinFilter, cloud: jf.PointCloud) -> tuple[dict[str, np.nda
     networks = [one.start(points, None, silent) for one in both]
     first: dict[int, str] = dict.fromkeys(np.flatnonzero(networks[0].seed != networks[1].seed).tolist(), "else")
     with (
-        GroundTin.start(networks[0], both[0].growth(networks[0])) as own,
-        GroundTin.start(networks[1], both[1].growth(networks[1])) as other,
+        GroundTin.start(networks[0], growth_of(both[0], networks[0])) as own,
+        GroundTin.start(networks[1], growth_of(both[1], networks[1])) as other,
     ):
         for _ in range(filter_.max_rounds):
             rounds = [ground for ground in (own, other) if len(ground.todo)]

@@ -23,7 +23,7 @@ from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
 from ..engines.tin.network import corner_positions, one_network
 from ..steps.outlier_filter import OutlierFate
 from ..steps.seeds import lowest_on_grid
-from ..steps.tin_filter import SlopeMirroring, seeds_of
+from ..steps.tin_filter import SlopeMirroring, growth_of, seeds_of
 from ..steps.trend import low_trend, quadratic_trend
 from .papers import bibtex
 
@@ -185,7 +185,7 @@ def _of_scene(filter_: STIN, some: Callable[[int], list[PointCloud]]) -> dict[st
     if degenerate(points.cloud, points) is not None:
         return {}
     network = filter_.start(points, None, silent)
-    with GroundTin.start(network, filter_.growth(network)) as out:
+    with GroundTin.start(network, growth_of(filter_, network)) as out:
         grow(out, filter_.max_rounds)
     rounds = [filter_.max_rounds] * (len(filter_.grids(points)) + 1)
     for step in out.trace:

@@ -80,19 +80,23 @@ class TinFilter(OutlierFilter):
         (20.0, 1.0, inf)
         """
         names = (field.name for field in declared(self))
-        rule = Rule(**{name: getattr(self, name) for name in names if name in Rule._fields})
-        return Growth(rule, triangulation=self.triangulation)
+        return Growth(Rule(**{name: getattr(self, name) for name in names if name in Rule._fields}))
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         network = self.start(points, workers, progress, trace)
         done = 0.0 if network.before is None else 0.5
-        with GroundTin.start(network, self.growth(network), workers=workers) as ground:
+        with GroundTin.start(network, growth_of(self, network), workers=workers) as ground:
             status = grow(
                 ground, self.max_rounds, lambda share, step: progress(done + (1.0 - done) * share, step), trace
             )
             ground.finish()
         progress(1.0, ground.STEP)
         return labels_of_nodes(ground, status)
+
+
+def growth_of(filter_: TinFilter, network: Network) -> Growth:
+    """How the ground of a filter grows, a user's too, over the triangulation that its field names."""
+    return dataclasses.replace(filter_.growth(network), triangulation=filter_.triangulation)
 
 
 def surrounded(
@@ -197,7 +201,7 @@ def _ground_each(
     def start(first: int) -> tuple[set[str], Network, Growth, Tin]:
         one, read = watch(sets[first])
         network = one.start(points, threads, silent)
-        growth = sets[first].growth(network)
+        growth = growth_of(sets[first], network)
         with GroundTin.start(network, growth, workers=threads) as seeds:
             return read, network, growth, seeds.tin
 
@@ -206,7 +210,7 @@ def _ground_each(
         read, network, other, tin = start(first)
         if len(group_equal(values_of([sets[first], sets[number]], read))) > 1:
             return grow_set((number, number))  # more was read than in the first set of all
-        growth = dataclasses.replace(sets[number].growth(network), kept=())
+        growth = dataclasses.replace(growth_of(sets[number], network), kept=())
         shared = operator.attrgetter("border_follows", "vertices", "triangulation")
         same = shared(growth) == shared(other)
         with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:
