@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 import shlex
 import statistics
@@ -21,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
+from experiments.papers.spf2023 import PTDOnePerFacet
 from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.result import silent
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Growth, Network
 from jaxfilter.engines.tin.triangulation import Tin, lattice, triangulated
 from jaxfilter.steps.tin_filter import TinFilter
 
@@ -40,15 +39,10 @@ AT_ONCE = "one point over each facet a round"
 RUNS: dict[str, Callable[[str], TinFilter]] = {
     "FPTD, independent blocks": lambda terrain: jf.FPTD.preset(terrain, blocks="independent"),
     "PTD": lambda terrain: jf.PTD.preset(terrain, refresh_border=False),
-    f"PTD, {AT_ONCE}": lambda terrain: _OneEach.preset(terrain, refresh_border=False, max_rounds=1000),
+    f"PTD, {AT_ONCE}": lambda terrain: PTDOnePerFacet.preset(terrain, refresh_border=False, max_rounds=1000),
 }
 """What Li et al. (2021), Table IV, may have timed: the thresholds of the class of the terrain."""
 Position = tuple[int, int]
-
-
-class _OneEach(jf.PTD):
-    def growth(self, network: Network) -> Growth:
-        return dataclasses.replace(super().growth(network), one_per_facet=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
