@@ -19,7 +19,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.isprs import samples, search, spaces
+from experiments.isprs import samples, search, spaces, tables
 from experiments.papers.oracle import TUNED, tuned
 from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
@@ -47,17 +47,8 @@ WAYS = {
     "sample": ("oracle", "`papers/oracle.csv`: values that the authors chose for each sample"),
 }
 """Ways of choosing the parameters: the kind, and what they are."""
-PRINTED = {
-    "fptd": ("class", "li2021_table4", "Li et al. (2021), Table IV"),
-    "spf": ("oracle", "chen2023_table2", "Chen et al. (2023), Table 2"),
-    "agptd": ("oracle", "zheng2024_table6", "Zheng et al. (2024), Table 6"),
-    "stin": ("oracle", "uray2024_from_counts", "Uray and Varlik (2024), counts of Table 3"),
-    "iptd": ("oracle", "uray2024_totals", "Uray and Varlik (2024), who compare with it"),
-    "ptd": ("oracle", "zheng2024_table6", "Axelsson's entry of 2003, by Zheng et al. (2024)"),
-    "atin": ("oracle", "uray2024_totals", "Axelsson's entry of 2003, by Uray and Varlik (2024)"),
-    "smrf": ("oracle", "pingel2013", "Pingel et al. (2013), by Zheng et al. (2024)"),
-}
-"""By method: how its authors chose parameters, the file in ``published/``, and the source."""
+PRINTED = {row["method"]: row for row in tables.PRINTED if row["source"]}
+"""What its authors print for each method."""
 
 
 def main() -> None:
@@ -110,11 +101,11 @@ def measured(path: Path) -> list[Row]:
 
 
 def _printed() -> Iterator[Row]:
-    for method, (_, table, _) in PRINTED.items():
-        for row in samples.published(table):
+    for method, printed in PRINTED.items():
+        for row in samples.published(printed["table"]):
             if row.get("method", method) == method and row["sample"].startswith("samp"):
-                total, kappa = row.get("total", row.get("total_oracle")), row.get("kappa", row.get("kappa_oracle"))
-                yield {"sample": row["sample"], "method": method, "way": "printed", "total": total, "kappa": kappa}
+                scores = {key: row.get(printed[key]) for key in ("total", "kappa")}
+                yield {"sample": row["sample"], "method": method, "way": "printed", **scores}
 
 
 def _means(rows: Sequence[Row]) -> list[Row]:
@@ -142,7 +133,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
             line |= {f"{key}_{way}": there.get(key) for key in ("total", "kappa")}
         if method in PRINTED:
             own = by_way[method, "printed"]
-            line["how"] = f"{PRINTED[method][0]}, {own['samples']} samples"
+            line["how"] = f"{PRINTED[method]['protocol']}, {own['samples']} samples"
         if (method, "sample") in by_way:
             line["of"] = by_way[method, "sample"]["samples"]
         lines.append(line)
@@ -167,7 +158,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
             for kind, what in KINDS.items()
         ),
         "*As printed* is what the authors print for their own method: "
-        + "; ".join(f"{method.upper()}: {source}" for method, (_, _, source) in PRINTED.items())
+        + "; ".join(f"{method.upper()}: {row['source']}" for method, row in PRINTED.items())
         + '. Methods without a figure were published on other data. The preset "paper" has one set for all samples, so where '
         "authors chose values per sample or class its error is no measure of their method as they used it. Li et al. chose the "
         "limits of the classes for FPTD, and print none for PTD. The kappa of SMRF that is published for one set stands on [its "
@@ -176,7 +167,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
     for kind, what in KINDS.items():
         own = [way for way, (k, _) in WAYS.items() if k == kind]
         chosen = [row | {"method": row["method"].upper()} for row in means
-                  if row["way"] in own or (row["way"] == "printed" and PRINTED[row["method"]][0] == kind)]  # fmt: skip
+                  if row["way"] in own or (row["way"] == "printed" and PRINTED[row["method"]]["protocol"] == kind)]  # fmt: skip
         chosen.sort(key=lambda row: (["printed", *own].index(row["way"]), row["total"]))
         for key, title in (("total", "Total error"), ("kappa", "Kappa")):
             columns = [
