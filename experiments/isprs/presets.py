@@ -8,8 +8,6 @@ Writes ``results/presets.csv`` (a row per sample, method and way of choosing), `
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import statistics
 import sys
 import warnings
@@ -21,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples, search, spaces, tables
 from experiments.papers.oracle import TUNED, tuned
-from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -53,11 +51,8 @@ PRINTED = {row["method"]: row for row in tables.PRINTED if row["source"]}
 
 def main() -> None:
     """Run what is not in ``fixed.csv`` and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    parser = CommandLine(__file__, __doc__, "results")
+    options = parser.options(None)
     folder = samples.data_folder(options.data)
     tasks = [(samples.sample_path(folder, number),) for number in samples.SAMPLES]
     rows = [row for _, found in search.results(measured, tasks, 2) for row in found]
@@ -69,8 +64,7 @@ def main() -> None:
     write_csv(options.out / "presets.csv", rows)
     means = [*_means(rows), *_means([*_printed()])]
     write_csv(options.out / "preset_means.csv", means)
-    command = shlex.join(["python", "experiments/isprs/presets.py", *sys.argv[1:]])
-    write_page(options.out / "presets.md", _report(rows, means), command, methods)
+    write_page(options.out / "presets.md", _report(rows, means), options.command, methods)
 
 
 def filters(sample: str) -> Iterator[tuple[str, str, jf.Filter]]:

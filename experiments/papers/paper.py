@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +13,7 @@ from matplotlib.figure import Figure
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, markdown, save_png, with_averages, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, save_png, with_averages, write_csv, write_page
 from jaxfilter import plots
 from jaxfilter.core.compilation import keep_compilations
 
@@ -39,19 +37,12 @@ FORMATS = {"points": ",.0f", "ground": ",.0f", "seeds": ",.0f", "seconds": ".3f"
 
 def arguments(name: str, description: str | None, given: Sequence[str] | None = None) -> argparse.Namespace:
     """The options of a study called ``name``: data, out, samples, quick; ``command``: what was typed, for the report."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ and isprs_sites/ [JAXFILTER_DATA]")
-    parser.add_argument(
-        "--out", type=Path, default=HERE.parent / "out" / "papers" / name, help="folder for the results [%(default)s]"
-    )
+    parser = CommandLine(str(HERE / f"{name}.py"), description, f"../out/papers/{name}")
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all of the paper]"
     )
     parser.add_argument("--quick", action="store_true", help="a few small samples and one call each")
-    options = parser.parse_args(given)
-    typed = sys.argv[1:] if given is None else list(given)
-    options.command = shlex.join(["python", f"experiments/papers/{name}.py", *typed])
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = parser.options(given)
     keep_compilations()
     return options
 
