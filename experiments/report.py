@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
 import math
 import os
 import platform
 import re
+import shlex
 import statistics
+import sys
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,8 +22,8 @@ from typing import Any
 from jaxfilter.sweeps.comparison import Column, markdown
 
 __all__ = [
-    "Column", "Made", "Row", "cores", "machine", "made", "markdown", "read_csv", "save_png", "with_averages", "write_csv",
-    "write_page",
+    "Column", "CommandLine", "Made", "Row", "cores", "machine", "made", "markdown", "read_csv", "save_png", "with_averages",
+    "write_csv", "write_page",
 ]  # fmt: skip
 
 Row = dict[str, Any]
@@ -36,6 +39,30 @@ class Made:
     date: str
     seconds: int
     labels: dict[str, str]
+
+
+class CommandLine(argparse.ArgumentParser):
+    """The options of a script of these folders: ``--data``, ``--out``, and what is added.
+
+    Args:
+        script: its ``__file__``. text: its ``__doc__``. out: the folder for results beside it, if none is given.
+    """
+
+    def __init__(self, script: str, text: str | None, out: str = "out") -> None:
+        super().__init__(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.script = Path(script).resolve()
+        self.add_argument("--data", type=Path, help="folder with isprs, tiles and so on [JAXFILTER_DATA]")
+        folder = self.script.parent / out
+        self.add_argument("--out", type=Path, default=folder, help="folder for the results [%(default)s]")
+
+    def options(self, given: Sequence[str] | None) -> argparse.Namespace:
+        """What is given, and the ``command`` for a page of results. The folder ``out`` is made."""
+        given = sys.argv[1:] if given is None else list(given)
+        found = self.parse_args(given)
+        found.out.mkdir(parents=True, exist_ok=True)
+        place = self.script.relative_to(Path(__file__).resolve().parents[1])
+        found.command = shlex.join(["python", place.as_posix(), *given])
+        return found
 
 
 _MADE = re.compile(r"^`(python [^`]+)`, (\d{4}-\d\d-\d\d \d\d:\d\d) UTC, ([\d,]+) s on ", re.MULTILINE)

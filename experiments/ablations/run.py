@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import shlex
 import statistics
 import sys
 import warnings
@@ -21,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search, spaces
-from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
 from jaxfilter.engines.tin.facets import Rule
@@ -481,10 +479,8 @@ def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what the command line asks for, as far as it is not at hand, and write the report."""
-    given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(given)
+    options = _parser().options(arguments)
     folder = samples.data_folder(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
     path, every = options.out / "runs.csv", variants()
     chosen = [v for v in every if not options.choices or v.choice.split(".")[0] in options.choices]
     known = {(v.choice, v.name) for v in every}
@@ -505,9 +501,10 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [have[place] | protocols.scores(have[place]) for place in keys]
     lines = summary(rows, chosen)
     write_csv(options.out / "summary.csv", lines)
-    command = shlex.join(["python", "experiments/ablations/run.py", *given])
     methods = {v.name.split(":")[0].lower() for v in chosen}
-    write_page(options.out / "results.md", report(lines, rows, len(options.samples)), command, methods, keeps=True)
+    write_page(
+        options.out / "results.md", report(lines, rows, len(options.samples)), options.command, methods, keeps=True
+    )
     figure(lines, options.out / "total.png")
     print(f"results are in {options.out}")
 
@@ -628,10 +625,8 @@ def figure(lines: Sequence[Row], path: Path) -> None:
     save_png(chart, path, 150)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
+def _parser() -> CommandLine:
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", default=samples.SAMPLES, help="such as 11 24 [all]"
     )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
 import re
-import shlex
 import statistics
 import sys
 import time
@@ -21,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
+from experiments.papers.spf2023 import PTDOnePerFacet
+from experiments.report import Column, CommandLine, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.result import silent
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Growth, Network
 from jaxfilter.engines.tin.triangulation import Tin, lattice, triangulated
 from jaxfilter.steps.tin_filter import TinFilter, growth_of
 
@@ -40,30 +37,21 @@ AT_ONCE = "one point over each facet a round"
 RUNS: dict[str, Callable[[str], TinFilter]] = {
     "FPTD, independent blocks": lambda terrain: jf.FPTD.preset(terrain, blocks="independent"),
     "PTD": lambda terrain: jf.PTD.preset(terrain, refresh_border=False),
-    f"PTD, {AT_ONCE}": lambda terrain: _OneEach.preset(terrain, refresh_border=False, max_rounds=1000),
+    f"PTD, {AT_ONCE}": lambda terrain: PTDOnePerFacet.preset(terrain, refresh_border=False, max_rounds=1000),
 }
 """What Li et al. (2021), Table IV, may have timed: the thresholds of the class of the terrain."""
 Position = tuple[int, int]
 
 
-class _OneEach(jf.PTD):
-    def growth(self, network: Network) -> Growth:
-        return dataclasses.replace(super().growth(network), one_per_facet=True)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Compare labels, measure times, and write the page."""
-    given = sys.argv[1:] if arguments is None else arguments
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results", help="folder [%(default)s]")
+    parser = CommandLine(__file__, __doc__, "results")
     parser.add_argument("--samples", type=samples.sample_name, nargs="+", default=samples.SAMPLES, metavar="SAMPLE")
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="points of the scenes [%(default)s]")
     parser.add_argument("--repeats", type=int, default=3, help="calls whose median is shown [%(default)s]")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS, help="tables that are measured anew [all]")
-    options = parser.parse_args(given)
+    options = parser.options(arguments)
     folder = samples.data_folder(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
     clouds = {f"samp{number}": jf.read(samples.sample_path(folder, number)) for number in options.samples}
     measured: dict[str, Callable[[], Iterator[Row]]] = {
         **{preset: partial(labels_of_samples, clouds, preset) for preset in PRESETS},
@@ -83,7 +71,7 @@ def main(arguments: list[str] | None = None) -> None:
     labels = label_table([row for preset in PRESETS for row in tables[preset]])
     text = ["# SciPy's Delaunay as the reference", INTRODUCTION, *labels, *time_table(tables["times"])]
     text += twelve_table(tables["twelve"])
-    command = re.sub(r" --only( [a-z]+)*", "", shlex.join(["python", "experiments/bench/triangulation.py", *given]))
+    command = re.sub(r" --only( [a-z]+)*", "", options.command)
     keeps = len(options.only) < len(PARTS)
     write_page(options.out / "triangulation.md", "\n\n".join(text), command, [*METHODS, "scenes"], keeps=keeps)
 

@@ -15,7 +15,6 @@ import hashlib
 import inspect
 import itertools
 import math
-import shlex
 import sys
 import time
 import warnings
@@ -44,7 +43,6 @@ from jaxfilter.core.params import declared
 from jaxfilter.steps.rules import RULES, plants
 from jaxfilter.surveys.tiles import part_of
 
-HERE = Path(__file__).parent
 FACTORS = 0.5, 2.0, 0.71, 1.41
 FLAT = 0.1
 """Percentage points that a constant may move each mean by, where it is called flat."""
@@ -306,7 +304,7 @@ def page(changes: pd.DataFrame, names: list[str]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Vary all constants, draw, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "out")
+    options = search.options(__file__, __doc__, arguments)
     path, defaults = options.out / "flat.csv", repr([(constant.title, constant.default) for constant in constants()])
     now = f"{word('ost')}-{word(SCENES)}-{hashlib.blake2b(defaults.encode(), digest_size=3).hexdigest()}"
     wanted = options.only or CLOUDS
@@ -314,8 +312,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = kept(path, work, known, options.processes)
     changes = moved(pd.DataFrame(rows))
     draw(changes, options.out / "flat.png")
-    command = shlex.join(["python", "experiments/default/flat.py", *options.given])
-    write_page(options.out / "flat.md", page(changes, [*known]), command, ("ost", SCENES), keeps=True)
+    write_page(options.out / "flat.md", page(changes, [*known]), options.command, ("ost", SCENES), keeps=True)
     print(f"results are in {options.out}")
 
 

@@ -7,7 +7,6 @@ Writes ``results/low.csv`` and ``results/low.md``.
 
 from __future__ import annotations
 
-import shlex
 import sys
 import warnings
 from pathlib import Path
@@ -24,7 +23,6 @@ from experiments.scenes import clouds
 from experiments.scenes.measures import errors
 from jaxfilter.core.compilation import keep_compilations
 
-HERE = Path(__file__).parent
 KINDS = ("low outliers", "forests with low outliers")
 METHODS = ("ost", "smrf", "csf")
 TITLES = {"total": "Total error, %", "off": "Cells of 1 m that are off by more than 0.5 m, %"}
@@ -32,7 +30,7 @@ TITLES = {"total": "Total error, %", "off": "Cells of 1 m that are off by more t
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the methods on all clouds, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "out")
+    options = search.options(__file__, __doc__, arguments)
     chosen = options.only or KINDS
     tasks = [(one,) for one in clouds.every(samples.data_folder(options.data)) if one.kind in chosen]
     rows = [row for _, rows in search.results(work, tasks, options.processes) for row in rows]
@@ -51,8 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
             wide.loc["mean"] = wide.mean()
             columns = [("cloud", "cloud", ""), *((name, name, ".2f") for name in METHODS)]
             text.append(markdown(columns, wide.reset_index().to_dict("records")))
-    command = shlex.join(["python", "experiments/default/low.py", *options.given])
-    write_page(options.out / "low.md", "\n\n".join(text), command, (*METHODS, SCENES))
+    write_page(options.out / "low.md", "\n\n".join(text), options.command, (*METHODS, SCENES))
 
 
 def work(cloud: clouds.Cloud) -> list[Row]:

@@ -8,7 +8,6 @@ labels stay.
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 import warnings
@@ -31,7 +30,6 @@ from experiments.scenes.measures import MEASURES
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.steps.rules import RULES
 
-HERE = Path(__file__).parent
 PLACES = 8
 """Places of the grid, for each sample."""
 ALL, CORE = "all rules", "the core alone"
@@ -76,7 +74,7 @@ MEANS = {"total": ".2f", "kappa": ".1f", "rmse": ".3f", "off": ".2f"}
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "out")
+    options = search.options(__file__, __doc__, arguments)
     own, more = word("ost"), word(SCENES)
     chosen = {
         cloud.name: (cloud, f"{own}-{more}" if cloud.simulated else own)
@@ -84,8 +82,7 @@ def main(arguments: list[str] | None = None) -> None:
         if not options.only or {cloud.kind, cloud.name} & {*options.only}
     }
     rows = kept(options.out / "ablations.csv", work, chosen, options.processes)
-    command = shlex.join(["python", "experiments/default/rules.py", *options.given])
-    write_page(options.out / "rules.md", page(pd.DataFrame(rows)), command, ("ost", SCENES), keeps=True)
+    write_page(options.out / "rules.md", page(pd.DataFrame(rows)), options.command, ("ost", SCENES), keeps=True)
     print(f"results are in {options.out}")
 
 

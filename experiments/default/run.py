@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments.default import search
 from experiments.isprs import samples
-from experiments.report import Row, markdown, write_page
+from experiments.report import CommandLine, Row, markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -23,19 +21,14 @@ KINDS = ("samples", "tiles", "scenes")
 
 def main(arguments: list[str] | None = None) -> None:
     """Search, fold, and write the tables."""
-    given = sys.argv[1:] if arguments is None else arguments
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/")
-    parser.add_argument("--out", type=Path, default=HERE / "out")
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
-    options = parser.parse_args(given)
+    options = parser.options(arguments)
     folder = samples.data_folder(options.data)
     keep_compilations()
-    options.out.mkdir(parents=True, exist_ok=True)
     tried = scored(search.tried(folder, options.sets, options.out))
     text = ["# OST: where its constants come from", "", *folds(tried, search.sets(options.sets))]
-    command = shlex.join(["python", "experiments/default/run.py", *given])
-    write_page(options.out / "results.md", "\n".join(text), command, ("ost", "scenes"), keeps=True)
+    write_page(options.out / "results.md", "\n".join(text), options.command, ("ost", "scenes"), keeps=True)
     print(f"results are in {options.out}")
 
 

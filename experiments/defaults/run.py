@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import statistics
 import sys
 import warnings
@@ -15,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.defaults import choices, clouds
 from experiments.isprs import samples, search
-from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
@@ -26,10 +24,8 @@ TIE = 0.05
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what is not at hand and write the tables."""
-    given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(given)
+    options = _parser().options(arguments)
     folder = samples.data_folder(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     asked = [c for c in choices.CHOICES if not options.choices or any(c.name.startswith(p) for p in options.choices)]
@@ -44,11 +40,14 @@ def main(arguments: list[str] | None = None) -> None:
         rows += run(known, asked, kept, only_kept=options.at_hand)
         write_csv(path, list(kept.values()))
         print(f"{known.group} {known.name}: done", file=sys.stderr, flush=True)
-    command = shlex.join(["python", "experiments/defaults/run.py", *given])
     tables = [table(choice, [row for row in rows if row["choice"] == choice.name]) for choice in asked]
     write_csv(options.out / "means.csv", [line for lines in tables for line in lines])
     write_page(
-        options.out / "results.md", report(asked, tables), command, (*{c.method for c in asked}, "scenes"), keeps=True
+        options.out / "results.md",
+        report(asked, tables),
+        options.command,
+        (*{c.method for c in asked}, "scenes"),
+        keeps=True,
     )
     for choice, lines in zip(asked, tables, strict=True):
         print(f"{choice.name}\n{_markdown(lines)}\n")
@@ -143,10 +142,8 @@ def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]]) -> 
     return "\n\n".join(text) + "\n"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
+def _parser() -> CommandLine:
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument(
         "--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]"
     )

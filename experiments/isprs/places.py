@@ -8,8 +8,6 @@ as they do by default, from the corner of each sample, and from random points.
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import sys
 import warnings
 from pathlib import Path
@@ -21,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, search, spaces
-from experiments.report import Column, Row, markdown, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -29,13 +27,10 @@ HERE = Path(__file__).parent
 
 def main() -> None:
     """Run everything and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("--out", type=Path, default=HERE / "out")
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument("--places", type=int, default=8)
     parser.add_argument("--methods", nargs="*", default=list(jf.FILTERS))
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = parser.options(None)
     folder = samples.data_folder(options.data)
     tasks = [(samples.sample_path(folder, n), m, options.places) for m in options.methods for n in samples.SAMPLES]
     found = pd.DataFrame([row for _, rows in search.results(errors, tasks, 2) for row in rows])
@@ -46,8 +41,7 @@ def main() -> None:
         rows.append({"method": method, "zero": means["zero"], "corner": means["corner"], "mean": drawn.mean(),
                      "least": drawn.min(), "largest": drawn.max(), "deviation": drawn.std()})  # fmt: skip
     write_csv(options.out / "places.csv", rows)
-    command = shlex.join(["python", "experiments/isprs/places.py", *sys.argv[1:]])
-    write_page(options.out / "places.md", _report(rows, options.places), command, options.methods)
+    write_page(options.out / "places.md", _report(rows, options.places), options.command, options.methods)
 
 
 def errors(path: Path, method: str, places: int) -> list[Row]:

@@ -8,8 +8,6 @@ Writes ``results/presets.csv`` (a row per sample, method and way of choosing), `
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import statistics
 import sys
 import warnings
@@ -19,9 +17,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.isprs import samples, search, spaces
+from experiments.isprs import samples, search, spaces, tables
 from experiments.papers.oracle import TUNED, tuned
-from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -47,26 +45,14 @@ WAYS = {
     "sample": ("oracle", "`papers/oracle.csv`: values that the authors chose for each sample"),
 }
 """Ways of choosing the parameters: the kind, and what they are."""
-PRINTED = {
-    "fptd": ("class", "li2021_table4", "Li et al. (2021), Table IV"),
-    "spf": ("oracle", "chen2023_table2", "Chen et al. (2023), Table 2"),
-    "agptd": ("oracle", "zheng2024_table6", "Zheng et al. (2024), Table 6"),
-    "stin": ("oracle", "uray2024_from_counts", "Uray and Varlik (2024), counts of Table 3"),
-    "iptd": ("oracle", "uray2024_totals", "Uray and Varlik (2024), who compare with it"),
-    "ptd": ("oracle", "zheng2024_table6", "Axelsson's entry of 2003, by Zheng et al. (2024)"),
-    "atin": ("oracle", "uray2024_totals", "Axelsson's entry of 2003, by Uray and Varlik (2024)"),
-    "smrf": ("oracle", "pingel2013", "Pingel et al. (2013), by Zheng et al. (2024)"),
-}
-"""By method: how its authors chose parameters, the file in ``published/``, and the source."""
+PRINTED = {row["method"]: row for row in tables.PRINTED if row["source"]}
+"""What its authors print for each method."""
 
 
 def main() -> None:
     """Run what is not in ``fixed.csv`` and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    parser = CommandLine(__file__, __doc__, "results")
+    options = parser.options(None)
     folder = samples.data_folder(options.data)
     tasks = [(samples.sample_path(folder, number),) for number in samples.SAMPLES]
     rows = [row for _, found in search.results(measured, tasks, 2) for row in found]
@@ -78,8 +64,7 @@ def main() -> None:
     write_csv(options.out / "presets.csv", rows)
     means = [*_means(rows), *_means([*_printed()])]
     write_csv(options.out / "preset_means.csv", means)
-    command = shlex.join(["python", "experiments/isprs/presets.py", *sys.argv[1:]])
-    write_page(options.out / "presets.md", _report(rows, means), command, methods)
+    write_page(options.out / "presets.md", _report(rows, means), options.command, methods)
 
 
 def filters(sample: str) -> Iterator[tuple[str, str, jf.Filter]]:
@@ -110,11 +95,11 @@ def measured(path: Path) -> list[Row]:
 
 
 def _printed() -> Iterator[Row]:
-    for method, (_, table, _) in PRINTED.items():
-        for row in samples.published(table):
+    for method, printed in PRINTED.items():
+        for row in samples.published(printed["table"]):
             if row.get("method", method) == method and row["sample"].startswith("samp"):
-                total, kappa = row.get("total", row.get("total_oracle")), row.get("kappa", row.get("kappa_oracle"))
-                yield {"sample": row["sample"], "method": method, "way": "printed", "total": total, "kappa": kappa}
+                scores = {key: row.get(printed[key]) for key in ("total", "kappa")}
+                yield {"sample": row["sample"], "method": method, "way": "printed", **scores}
 
 
 def _means(rows: Sequence[Row]) -> list[Row]:
@@ -142,7 +127,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
             line |= {f"{key}_{way}": there.get(key) for key in ("total", "kappa")}
         if method in PRINTED:
             own = by_way[method, "printed"]
-            line["how"] = f"{PRINTED[method][0]}, {own['samples']} samples"
+            line["how"] = f"{PRINTED[method]['protocol']}, {own['samples']} samples"
         if (method, "sample") in by_way:
             line["of"] = by_way[method, "sample"]["samples"]
         lines.append(line)
@@ -167,7 +152,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
             for kind, what in KINDS.items()
         ),
         "*As printed* is what the authors print for their own method: "
-        + "; ".join(f"{method.upper()}: {source}" for method, (_, _, source) in PRINTED.items())
+        + "; ".join(f"{method.upper()}: {row['source']}" for method, row in PRINTED.items())
         + '. Methods without a figure were published on other data. The preset "paper" has one set for all samples, so where '
         "authors chose values per sample or class its error is no measure of their method as they used it. Li et al. chose the "
         "limits of the classes for FPTD, and print none for PTD. The kappa of SMRF that is published for one set stands on [its "
@@ -176,7 +161,7 @@ def _report(rows: Sequence[Row], means: Sequence[Row]) -> str:
     for kind, what in KINDS.items():
         own = [way for way, (k, _) in WAYS.items() if k == kind]
         chosen = [row | {"method": row["method"].upper()} for row in means
-                  if row["way"] in own or (row["way"] == "printed" and PRINTED[row["method"]][0] == kind)]  # fmt: skip
+                  if row["way"] in own or (row["way"] == "printed" and PRINTED[row["method"]]["protocol"] == kind)]  # fmt: skip
         chosen.sort(key=lambda row: (["printed", *own].index(row["way"]), row["total"]))
         for key, title in (("total", "Total error"), ("kappa", "Kappa")):
             columns = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 import time
 import warnings
@@ -14,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import figures, measure, protocols, samples, search, spaces, tables
-from experiments.report import Row, machine, read_csv, write_csv, write_page
+from experiments.report import CommandLine, Row, machine, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 QUICK = ("24", "41", "52", "53")
@@ -24,13 +23,11 @@ Maker = Callable[[str, str], jf.Filter]
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what the command line asks for, as far as it is not at hand, and write tables and figures."""
-    given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(given)
+    options = _parser().options(arguments)
     if options.quick:
         options.repeats, options.budget = 1, min(options.budget, 4)
     numbers = options.samples or list(QUICK if options.quick else samples.SAMPLES)
     folder = samples.data_folder(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     if options.fresh:
@@ -64,9 +61,8 @@ def main(arguments: list[str] | None = None) -> None:
     write_csv(options.out / "summary.csv", summaries)
     write_csv(options.out / "printed.csv", tables.printed_rows(chosen))
     pictures = _pictures(options, folder, numbers, chosen, summaries) if options.figures else []
-    command = shlex.join(["python", "experiments/isprs/run.py", *given])
     text = tables.report(options.repeats, options.budget, chosen, claims, pictures)
-    write_page(options.out / "results.md", text, command, options.methods, keeps=True)
+    write_page(options.out / "results.md", text, options.command, options.methods, keeps=True)
     for name, rows in chosen.items():
         print(f"{name}\n{tables.summary(rows)}\n")
     print(f"results are in {options.out}")
@@ -161,13 +157,9 @@ def _discard(out: Path, methods: Sequence[str]) -> None:
         write_csv(path, [row for row in read_csv(path) if row["method"] not in methods])
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> CommandLine:
     names = spaces.method_names()
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
-    parser.add_argument(
-        "--out", type=Path, default=Path(__file__).parent / "out", help="folder for the results [%(default)s]"
-    )
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all 15]"
     )

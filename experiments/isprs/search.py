@@ -11,7 +11,6 @@ import csv
 import hashlib
 import multiprocessing
 import os
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,7 +20,7 @@ from typing import Any, TypeVar
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.remake import word
-from experiments.report import Row, read_csv, write_csv
+from experiments.report import CommandLine, Row, read_csv, write_csv
 
 COLUMNS = ("sample", "set", "parameters", "kept", "lost", "accepted", "rejected", "status")
 """``kept`` and ``lost``: ground labelled ground and object; ``accepted`` and ``rejected``: objects likewise."""
@@ -33,17 +32,12 @@ Task = tuple[str, str, Path, dict[int, dict[str, float]]]
 """Method, sample, its file, and the thresholds of the sets to run by number."""
 
 
-def options(text: str | None, arguments: Sequence[str] | None, out: Path) -> argparse.Namespace:
-    """What a script about clouds is given, with the arguments themselves as ``given``. The folder ``out`` is made."""
-    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with isprs, tiles and so on [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=out, help="folder for the results [%(default)s]")
+def options(script: str, text: str | None, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """What a script about clouds is given; see :class:`experiments.report.CommandLine`."""
+    parser = CommandLine(script, text)
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds of clouds, or clouds")
     parser.add_argument("--processes", type=int, default=2, help="of one thread each [%(default)s]")
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    found = parser.parse_args(given, argparse.Namespace(given=given))
-    found.out.mkdir(parents=True, exist_ok=True)
-    return found
+    return parser.options(arguments)
 
 
 def digest(filter_: jf.Filter, thresholds: dict[str, float] | None = None) -> str:

@@ -6,10 +6,11 @@ import dataclasses
 import math
 import statistics
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, spaces
-from experiments.report import Column, Row, markdown, with_averages
+from experiments.report import Column, Row, markdown, read_csv, with_averages
 from jaxfilter.sweeps.ranges import search_ranges
 
 TITLES = {
@@ -74,61 +75,9 @@ CLAIMS_NOTE = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Printed:
-    """A printed table that belongs beside ours. ``protocol``: ours that is nearest to how the paper chose parameters."""
-
-    table: str
-    method: str
-    paper: str
-    protocol: str
-    how: str
-    columns: tuple[tuple[str, str], ...] = (("total", "total"), ("kappa", "kappa"))
-    """Column in the table, and score that it is."""
-
-
-PRINTED = (
-    Printed(
-        "li2021_table4",
-        "fptd",
-        "Li et al. (2021)",
-        "class",
-        "thresholds by class, tuned on 4 of the samples; low outliers by hand",
-    ),
-    Printed("li2021_table4", "ptd", "Li et al. (2021)", "class", "not stated"),
-    Printed("chen2023_table2", "spf", "Chen et al. (2023)", "oracle", "by hand per sample, values not given"),
-    Printed("chen2023_table2", "ptd", "Chen et al. (2023)", "oracle", "by hand per sample, values not given"),
-    Printed(
-        "zheng2024_table6", "agptd", "Zheng et al. (2024)", "oracle", "per sample by trial and error on the labels"
-    ),
-    Printed(
-        "zheng2024_table6", "ptd", "Zheng et al. (2024), from Axelsson's entry of 2003", "oracle", "by its operator"
-    ),
-    Printed(
-        "uray2024_from_counts", "stin", "Uray and Varlik (2024), from their counts", "oracle", "by hand per sample"
-    ),
-    Printed(
-        "uray2024_totals", "atin", "Uray and Varlik (2024), from Axelsson's entry of 2003", "oracle", "by its operator"
-    ),
-    Printed("uray2024_totals", "iptd", "Uray and Varlik (2024)", "oracle", "by hand per sample"),
-    Printed(
-        "pingel2013",
-        "smrf",
-        "Pingel et al. (2013)",
-        "oracle",
-        "per sample by search on the labels",
-        (("total_oracle", "total"), ("kappa_oracle", "kappa")),
-    ),
-    Printed(
-        "pingel2013",
-        "smrf",
-        "Pingel et al. (2013), authors' Python version",
-        "fixed",
-        "one set, window 18 m",
-        (("kappa_fixed", "kappa"),),
-    ),
-)
-"""Printed figures on the same samples. PPDF, PTDF, CSF, PMF and MSF have none: their papers use other data."""
+PRINTED = read_csv(Path(__file__).parent / "printed.csv")
+"""Printed figures on the same samples. ``protocol``: ours that is nearest to how the paper chose parameters; ``total`` and
+``kappa``: columns of the table. PPDF, PTDF, CSF, PMF and MSF have none: their papers use other data."""
 
 
 def order(rows: Sequence[Row]) -> list[str]:
@@ -151,11 +100,9 @@ def summary(rows: Sequence[Row]) -> str:
             if prefix != "median_" or key in ("total", "kappa"):
                 columns.append((f"{prefix}{key}", f"{name}, {title}", ".2f"))
     columns += [
-        ("seconds", "s, mean", ".3f"),
-        ("median_seconds", "s, median", ".3f"),
-        ("seconds_per_million", "s per million points", ".1f"),
-        ("failed", "failed", "d"),
-    ]
+        ("seconds", "s, mean", ".3f"), ("median_seconds", "s, median", ".3f"),
+        ("seconds_per_million", "s per million points", ".1f"), ("failed", "failed", "d"),
+    ]  # fmt: skip
     used = [column for column in columns if any(line.get(column[0]) for line in lines)]
     return markdown(used, lines)
 
@@ -180,21 +127,12 @@ def claims(rows: Sequence[Row]) -> str:
     """The table of :func:`protocols.claims`."""
     lines = [row | {"quantity": TITLES[row["quantity"]], "method": row["method"].upper()} for row in rows]
     columns: list[Column] = [
-        ("method", "method", ""),
-        ("quantity", "mean of", ""),
-        ("source", "source", ""),
-        ("printed_ptd", "PTD, printed", ".2f"),
-        ("printed_method", "method, printed", ".2f"),
-        ("protocol", "protocol", ""),
-        ("ptd", "PTD", ".2f"),
-        ("measured", "method", ".2f"),
-        ("difference", "difference", "+.2f"),
-        ("median_difference", "median difference", "+.2f"),
-        ("better", "better on", "d"),
-        ("samples", "of samples", "d"),
-        ("p", "p", ".3f"),
-        ("verdict", "better than PTD?", ""),
-    ]
+        ("method", "method", ""), ("quantity", "mean of", ""), ("source", "source", ""),
+        ("printed_ptd", "PTD, printed", ".2f"), ("printed_method", "method, printed", ".2f"), ("protocol", "protocol", ""),
+        ("ptd", "PTD", ".2f"), ("measured", "method", ".2f"), ("difference", "difference", "+.2f"),
+        ("median_difference", "median difference", "+.2f"), ("better", "better on", "d"), ("samples", "of samples", "d"),
+        ("p", "p", ".3f"), ("verdict", "better than PTD?", ""),
+    ]  # fmt: skip
     return markdown(columns, lines)
 
 
@@ -202,37 +140,29 @@ def differences(rows: Sequence[Row], key: str) -> str:
     """Per sample: PTD, and the difference of each method that claims to improve on it."""
     lines = protocols.differences(rows, key)
     methods = [m for m in order(rows) if any(m in line and m != "ptd" for line in lines)]
-    counted = [{"sample": line["sample"], **{k: v for k, v in line.items() if k != "sample"}} for line in lines]
     columns: list[Column] = [
         ("sample", "sample", ""),
         ("ptd", "PTD", ".2f"),
         *((m, m.upper(), "+.2f") for m in methods),
     ]
-    return markdown(columns, with_averages(counted, "sample"))
+    return markdown(columns, with_averages(lines, "sample"))
 
 
 def printed_rows(tables: Mapping[str, Sequence[Row]]) -> list[Row]:
     """A row per printed column: its mean over its samples beside ours over the same ones."""
     out = []
     for printed in PRINTED:
-        measured = {row["sample"]: row for row in tables.get(printed.protocol, ()) if row["method"] == printed.method}
-        theirs = {
-            row["sample"]: row
-            for row in samples.published(printed.table)
-            if row.get("method", printed.method) == printed.method
-        }
+        method = printed["method"]
+        measured = {row["sample"]: row for row in tables.get(printed["protocol"], ()) if row["method"] == method}
+        table = samples.published(printed["table"])
+        theirs = {row["sample"]: row for row in table if row.get("method", method) == method}
         both = [s for s in measured if s in theirs]
         if not both:
             continue
-        row: Row = {
-            "method": printed.method.upper(),
-            "paper": printed.paper,
-            "how": printed.how,
-            "protocol": printed.protocol,
-            "samples": len(both),
-        }
-        for column, score in printed.columns:
-            pairs = [(theirs[s].get(column), measured[s][score]) for s in both]
+        row: Row = {"method": method.upper()} | {key: printed[key] for key in ("paper", "how", "protocol")}
+        row["samples"] = len(both)
+        for score in ("total", "kappa"):
+            pairs = [(theirs[s].get(printed[score]), measured[s][score]) for s in both]
             pairs = [(a, b) for a, b in pairs if isinstance(a, (int, float)) and not math.isnan(b)]
             if pairs:
                 row[f"printed_{score}"] = statistics.fmean(a for a, _ in pairs)
@@ -245,18 +175,12 @@ def printed_rows(tables: Mapping[str, Sequence[Row]]) -> list[Row]:
 def printed_table(rows: Sequence[Row]) -> str:
     """Table of :func:`printed_rows`."""
     columns: list[Column] = [
-        ("method", "method", ""),
-        ("paper", "printed by", ""),
-        ("how", "their parameters", ""),
-        ("protocol", "our protocol", ""),
+        ("method", "method", ""), ("paper", "printed by", ""), ("how", "their parameters", ""), ("protocol", "our protocol", ""),
         ("samples", "samples", "d"),
-        ("printed_total", "TE, printed", ".2f"),
-        ("total", "TE", ".2f"),
-        ("off_total", "median gap per sample", ".2f"),
-        ("printed_kappa", "kappa, printed", ".2f"),
-        ("kappa", "kappa", ".2f"),
-        ("off_kappa", "median gap per sample", ".2f"),
-    ]
+    ]  # fmt: skip
+    for key, title in (("total", "TE"), ("kappa", "kappa")):
+        columns += [(f"printed_{key}", f"{title}, printed", ".2f"), (key, title, ".2f")]
+        columns.append((f"off_{key}", "median gap per sample", ".2f"))
     return markdown(columns, rows)
 
 
@@ -277,16 +201,12 @@ def fixed_sets() -> str:
                 "ranges": ", ".join(f"{k} {r.low:.3g} to {r.high:.3g}" for k, r in ranges.items()),
             }
         )
-    return markdown(
-        [
-            ("method", "method", ""),
-            ("urban", "from the spacing of sample 11, 1.03 m", ""),
-            ("rural", "where that of sample 51, 2.35 m, differs", ""),
-            ("thresholds", "thresholds of set 0", ""),
-            ("ranges", "varied in class and oracle", ""),
-        ],
-        lines,
-    )
+    columns: list[Column] = [
+        ("method", "method", ""), ("urban", "from the spacing of sample 11, 1.03 m", ""),
+        ("rural", "where that of sample 51, 2.35 m, differs", ""), ("thresholds", "thresholds of set 0", ""),
+        ("ranges", "varied in class and oracle", ""),
+    ]  # fmt: skip
+    return markdown(columns, lines)
 
 
 def _values(values: Mapping[str, object]) -> str:
@@ -305,11 +225,10 @@ def barred(rows: Sequence[Row]) -> str:
         if total["barred"]:
             lines.append({"method": method.upper()} | total)
     columns: list[Column] = [
-        ("method", "method", ""),
-        ("barred", "points barred", ",d"),
+        ("method", "method", ""), ("barred", "points barred", ",d"),
         ("barred_ground", "of these ground by the reference", ",d"),
         ("barred_ground_kept", "of these ground in the result", ",d"),
-    ]
+    ]  # fmt: skip
     return markdown(columns, lines) if lines else ""
 
 

@@ -120,7 +120,6 @@ def main(given: Sequence[str] | None = None) -> None:
     report.text("## Claims")
     claims_on_seeds(report, by_run, [row for row in readings if row["reading"] == BY_LABELS])
     claims_on_errors(report, by_run)
-    claims_on_others(report, by_run)
     pictures(report, clouds, corners, by_run)
     report.write("agptd", "ptd")
 
@@ -180,7 +179,7 @@ def measure(sample: str, cloud: jf.PointCloud, corner: jf.PointCloud) -> list[Ro
         row, result = paper.score_row(sample, method, filter_, given, repeats=0)
         row.pop("seconds"), row.pop("first_call_seconds")
         if method.removesuffix("_three") in LEVELS:
-            spent = paper.clocked(filter_, given, REPEATS)[1]
+            spent = paper.cpu_seconds({method: filter_}, given, REPEATS, workers=None)[method]
             row |= {f"cpu_{i}": seconds for i, seconds in enumerate(spent, 1)} | {"cpu": statistics.median(spent)}
         scores = jf.evaluate(result, truth)
         removed = taken_away(result)
@@ -430,15 +429,20 @@ def levels(report: paper.Report, by_run: dict[str, list[Row]]) -> None:
     report.table("levels", "Two against three grid levels, means", columns, rows)
 
 
-def each(by_run: dict[str, list[Row]], key: str, form: str = ".2f", unit: str = " %") -> str:
-    """The mean of a column in each of the runs :data:`JUDGED`, in words."""
-    return ", ".join(f"{mean(by_run[run], key):{form}}{unit} {text}" for run, text in JUDGED.items())
+def judged(say: Callable[[str], str], between: str = ", ") -> str:
+    """What there is to say of each of the runs :data:`JUDGED`."""
+    return between.join(f"{say(run)} {text}" for run, text in JUDGED.items())
+
+
+def each(by_run: dict[str, list[Row]], key: str) -> str:
+    """The mean of a column in each of the runs :data:`JUDGED`."""
+    return judged(lambda run: f"{mean(by_run[run], key):.2f} %")
 
 
 def spans(by_run: dict[str, list[Row]], key: str) -> str:
-    """Least and largest value of a column in each of the runs :data:`JUDGED`, in words."""
-    values = {text: [row[key] for row in by_run[run]] for run, text in JUDGED.items()}
-    return ", ".join(f"{min(found):.2f} to {max(found):.2f} % {text}" for text, found in values.items())
+    """Least and largest value of a column in each of the runs :data:`JUDGED`."""
+    values = {run: [row[key] for row in by_run[run]] for run in JUDGED}
+    return judged(lambda run: f"{min(values[run]):.2f} to {max(values[run]):.2f} %")
 
 
 def claims_on_seeds(report: paper.Report, by_run: dict[str, list[Row]], readings: list[Row]) -> None:
@@ -460,28 +464,23 @@ def claims_on_seeds(report: paper.Report, by_run: dict[str, list[Row]], readings
         None,
     )
     gains = {
-        text: [
-            mean([row for row in by_run[run] if (row["sample"] in URBAN) == urban], "extra_share")
-            for urban in (True, False)
+        run: [
+            mean([r for r in by_run[run] if (r["sample"] in URBAN) == urban], "extra_share") for urban in (True, False)
         ]
-        for run, text in JUDGED.items()
+        for run in JUDGED
     }
     report.verdict(
         "Seeds increase by 73.06 % on urban and by 63.09 %, which is less, on rural samples (Sec. 4.2).",
         "these are the means of Table 4; the slope threshold is not printed",
-        ", ".join(f"{urban:.2f} and {rural:.2f} % {text}" for text, (urban, rural) in gains.items()),
+        judged(lambda run: "{:.2f} and {:.2f} %".format(*gains[run])),
         None,
     )
-    least = {
-        run: [
-            row["sample"] for row in sorted(by_run[run], key=lambda row: row["extra_share"]) if row["sample"] in URBAN
-        ][:3]
-        for run in JUDGED
-    }
+    urban = {run: [row for row in by_run[run] if row["sample"] in URBAN] for run in JUDGED}
+    least = {run: [r["sample"] for r in sorted(urban[run], key=lambda r: r["extra_share"])[:3]] for run in JUDGED}
     report.verdict(
         "Of the urban samples seeds increase least on 31, 42 and 41 (Sec. 4.2).",
         "by 43.62, 50.83 and 63.98 %",
-        ", ".join(f"{', '.join(least[run])} {text}" for run, text in JUDGED.items()),
+        judged(lambda run: ", ".join(least[run])),
         set(least["printed_cells"]) == {"samp31", "samp41", "samp42"},
     )
     report.verdict(
@@ -510,18 +509,18 @@ def claims_on_seeds(report: paper.Report, by_run: dict[str, list[Row]], readings
 def claims_on_errors(report: paper.Report, by_run: dict[str, list[Row]]) -> None:
     """Claims on errors and accuracy, and on AGPTD against PTD."""
     rows = by_run["printed_cells"]
-    for key, text, value in (
-        ("type1", "Type I error", 1.11),
-        ("total", "total error", 2.28),
-        ("type2", "Type II error", 8.88),
+    for key, text, value, place in (
+        ("type1", "Type I error", 1.11, "abstract, Sec. 5.1"),
+        ("total", "total error", 2.28, "abstract, Sec. 5.1"),
+        ("type2", "Type II error", 8.88, "abstract, Sec. 5.1"),
+        ("kappa", "kappa", 90.86, "abstract"),
     ):
+        measured = mean(rows, key)
         report.verdict(
-            f"The mean {text} is {value:.2f} % (abstract, Sec. 5.1).", f"{value:.2f} %",
-            f"{each(by_run, key)}, {mean(by_run['fixed'], key):.2f} % with one set for all samples", mean(rows, key) <= value,
+            f"The mean {text} is {value:.2f} % ({place}).", f"{value:.2f} %",
+            f"{each(by_run, key)}, {mean(by_run['fixed'], key):.2f} % with one set for all samples",
+            measured >= value if key == "kappa" else measured <= value,
         )  # fmt: skip
-    report.verdict("The mean kappa is 90.86 % (abstract).", "90.86 %",
-                   f"{each(by_run, 'kappa')}, {mean(by_run['fixed'], 'kappa'):.2f} % with one set for all samples",
-                   mean(rows, "kappa") >= 90.86)  # fmt: skip
     for key, value, low, high in (
         ("accuracy", 97.69, 95.37, 99.26),
         ("precision", 97.52, 94.53, 99.23),
@@ -541,19 +540,15 @@ def claims_on_errors(report: paper.Report, by_run: dict[str, list[Row]]) -> None
         }
         for run, regular in REGULAR.items()
     }
+    means = {run: {key: statistics.fmean(found) for key, found in by_key.items()} for run, by_key in changes.items()}
+    order, literal = ("type1", "total", "type2", "kappa"), means["printed_cells"]
     report.verdict(
         "Against classical PTD, T.I and TE fall, T.II and kappa rise (Secs. 4.3.2 and 5.2).",
         "-4.44, -2.54, +1.42, +6.67 points, against an entry of another program",
         "each against a regular grid of the same cells, all else alike: "
-        + ", ".join(
-            "/".join(f"{statistics.fmean(changes[run][key]):+.2f}" for key in ("type1", "total", "type2", "kappa")) + f" {text}"
-            for run, text in JUDGED.items()
-        ),
-        bool(
-            max(statistics.fmean(changes["printed_cells"][key]) for key in ("type1", "total")) < 0
-            < min(statistics.fmean(changes["printed_cells"][key]) for key in ("type2", "kappa"))
-        ),
-    )  # fmt: skip
+        + judged(lambda run: "/".join(f"{means[run][key]:+.2f}" for key in order)),
+        max(literal["type1"], literal["total"]) < 0 < min(literal["type2"], literal["kappa"]),
+    )
     names, count = [row["sample"] for row in rows], len(rows)
     for key, sign, claim, there, allowed in (
         ("type1", 1, "T.I rises on samples 21, 51, 54 and 71 only", "by 0.02 to 0.96 points", {"21", "51", "54", "71"}),
@@ -566,97 +561,22 @@ def claims_on_errors(report: paper.Report, by_run: dict[str, list[Row]]) -> None
         }
         report.verdict(
             f"{claim} (Sec. 4.3.2).", there,
-            "worse " + "; ".join(f"on {', '.join(worse[run]) or 'none'} {text}" for run, text in JUDGED.items()),
+            "worse " + judged(lambda run, worse=worse: f"on {', '.join(worse[run]) or 'none'}", "; "),  # type: ignore[misc]
             set(worse["printed_cells"]) <= allowed if count == len(samples.SAMPLES) else None,
         )  # fmt: skip
+    table = {(row["sample"], row["method"]): row for row in printed("table6")}
     for key, chosen, title in (
         ("type2", ("samp21", "samp22", "samp51", "samp53"), "T.II falls on samples 21, 22, 51 and 53"),
         ("type1", ("samp31", "samp41"), "T.I falls on samples 31 and 41"),
     ):
-        table = {row["sample"]: row for row in printed("table6", lambda row: row["method"] == "agptd")}
-        old = {row["sample"]: row for row in printed("table6", lambda row: row["method"] == "ptd")}
         shown = [name for name in chosen if name in names]
-        falls = {text: [changes[run][key][names.index(name)] for name in shown] for run, text in JUDGED.items()}
+        falls = {run: [changes[run][key][names.index(name)] for name in shown] for run in JUDGED}
+        there = ", ".join(f"{table[name, 'agptd'][key] - table[name, 'ptd'][key]:+.2f}" for name in chosen)
+        words = {run: ", ".join(f"{value:+.2f}" for value in found) + " points" for run, found in falls.items()}
         report.verdict(
-            f"{title} (Sec. 4.3.1, Fig. 9).",
-            "in Table 6 itself by "
-            + ", ".join(f"{table[name][key] - old[name][key]:+.2f}" for name in chosen)
-            + " points",
-            "by "
-            + "; ".join(
-                ", ".join(f"{value:+.2f}" for value in found) + f" points {text}" for text, found in falls.items()
-            ),
-            all(value < 0 for value in falls[JUDGED["printed_cells"]]) if len(shown) == len(chosen) else None,
-        )
-
-
-def claims_on_others(report: paper.Report, by_run: dict[str, list[Row]]) -> None:
-    """Claims on AGPTD against other printed filters, by the printed tables and by the measured runs."""
-    chosen = {row["sample"] for row in by_run["fixed"]}
-    pairs, totals = (printed(name, lambda row: row["sample"] in chosen) for name in ("table7", "table8"))
-    count, whole = len(chosen), len(chosen) == len(samples.SAMPLES)
-
-    def wins(table: Sequence[Row], own: Mapping[str, float], key: str, method: str = "AGPTD") -> int:
-        """On how many samples no other method has a printed value below ``own``."""
-        return sum(
-            own[name] <= min(row[key] for row in table if row["sample"] == name and row["method"] != method)
-            for name in chosen
-        )
-
-    def of(table: Sequence[Row], method: str, key: str) -> dict[str, float]:
-        return {row["sample"]: row[key] for row in table if row["method"] == method}
-
-    def measured(table: Sequence[Row], key: str) -> dict[str, int]:
-        return {run: wins(table, {row["sample"]: row[key] for row in by_run[run]}, key) for run in JUDGED}
-
-    for table, key, title, least in (
-        (pairs, "type1", "It has the lowest T.I of six improved PTDs on 10 of 15 samples (Sec. 5.1).", 10),
-        (totals, "total", "It has the lowest TE on four urban samples (Sec. 5.2).", 4),
-    ):
-        found = measured(table, key)
-        report.verdict(
-            title, f"in the table itself on {wins(table, of(table, 'AGPTD', key), key)} of {count}",
-            ", ".join(f"on {found[run]} of {count} {text}" for run, text in JUDGED.items()),
-            found["printed_cells"] >= least if whole else None,
-        )  # fmt: skip
-    for method, table, key, number, title in (
-        ("Cai2019", pairs, "type1", 4, "Cai et al. (2019) have the lowest T.I on four samples (Sec. 5.1)"),
-        ("Nie2017", pairs, "type2", 10, "Nie et al. (2017) have the lowest T.II on 10 of 15 samples (Sec. 5.1)"),
-        (
-            "Chen2021",
-            totals,
-            "total",
-            5,
-            "Chen et al. (2021) have the lowest TE on five of the other samples (Sec. 5.2)",
-        ),
-    ):
-        found = wins(table, of(table, method, key), key, method)
-        report.verdict(
-            f"{title}.", f"{number}", f"by the printed table, on {found} of {count}", found == number if whole else None
-        )
-    order = sorted(
-        {row["method"] for row in pairs}, key=lambda method: statistics.fmean(of(pairs, method, "type2").values())
-    )
-    report.verdict(
-        "Its mean T.II is the third smallest of six improved PTDs; Nie et al. (2017) have the smallest, 2.84 % (Sec. 5.1).",
-        "8.88 %", f"by the printed table the order is {', '.join(order)}; measured {each(by_run, 'type2')}",
-        sum(statistics.fmean(of(pairs, method, "type2").values()) < mean(by_run["printed_cells"], "type2")
-            for method in order if method != "AGPTD") <= 2 if whole else None,
-    )  # fmt: skip
-    for table, key, title, value, place in (
-        (pairs, "type1", "Its T.I varies least of six improved PTDs", 0.65, "Sec. 5.1"),
-        (totals, "total", "Its TE varies least", 1.15, "Sec. 5.2"),
-    ):
-        found = {run: spread("", by_run[run], (key,))[f"{key}_deviation"] for run in JUDGED}
-        others = min(
-            spread("", [row for row in table if row["method"] == method], (key,))[f"{key}_deviation"]
-            for method in {row["method"] for row in table} - {"AGPTD"}
-        )
-        report.verdict(
-            f"{title} ({place}).",
-            f"a standard deviation of {value:.2f} %; the least of the others {others:.2f} %",
-            ", ".join(f"{found[run]:.2f} % {text}" for run, text in JUDGED.items()),
-            found["printed_cells"] < others if whole else None,
+            f"{title} (Sec. 4.3.1, Fig. 9).", f"in Table 6 itself by {there} points",
+            "by " + judged(words.__getitem__, "; "),
+            max(falls["printed_cells"]) < 0 if len(shown) == len(chosen) else None,
         )  # fmt: skip
 
 
@@ -844,7 +764,7 @@ def pictures(
         } | {"AGPTD, printed cells": runs["printed_cells"](corners[name])}
         both = {row["method"]: row for row in printed("table6", lambda row, name=name: row["sample"] == name)}  # type: ignore[misc]
         report.figure(
-            figures.densified(name, cloud, shown), f"fig8_{name}",
+            paper.error_maps(cloud, shown), f"fig8_{name}",
             f"Fig. 8, {name}: errors after densification over the shaded reference ground, angle and distance of Table 1 (chosen "
             "on these labels). The first two: seed cells of 60 m; the third: cells by Table 4 and the removal by the labels; the "
             "last: the printed cells, without labels. "
@@ -877,28 +797,26 @@ def compared(report: paper.Report, by_run: dict[str, list[Row]]) -> None:
     def keep(row: Row) -> bool:
         return row["sample"] in chosen
 
-    totals = printed("table8", keep)
-    pairs = printed("table7", keep)
-    classic = [row for row in printed("table6", keep) if row["method"] == "ptd"]
+    keys = ("type1", "type2", "total")
     mine = [
         {"method": f"{run}, measured", "kind": "measured" if run in ("fixed", "ptd") else "labels"}
-        | {key: mean(by_run[run], key) for key in ("type1", "type2", "total")}
+        | {key: mean(by_run[run], key) for key in keys}
         for run in ("fixed", "ptd", "table1", "ptd_table1", "printed_cells", "research")
     ]
-    entry = {"method": "PTD (Axelsson's entry)", "kind": "printed"}
-    entry |= {key: mean(classic, key) for key in ("type1", "type2", "total")}
-    named = {method: mean([row for row in totals if row["method"] == method], "total") for method in
-             dict.fromkeys(row["method"] for row in totals)}  # fmt: skip
-    improved = [
-        {"method": method, "kind": "printed", "total": named[method]}
-        | {key: mean([row for row in pairs if row["method"] == method], key) for key in ("type1", "type2")}
-        for method in dict.fromkeys(row["method"] for row in pairs)
+    improved = printed("table7", keep)
+    listed = [row | {"method": "PTD (Axelsson's entry)"} for row in printed("table6", keep) if row["method"] == "ptd"]
+    listed += [*printed("table8", keep), *improved]
+    entry, *others = [
+        {"method": method, "kind": "printed"}
+        | {key: mean([row for row in listed if row["method"] == method], key) for key in keys}
+        for method in dict.fromkeys(row["method"] for row in listed)
     ]
+    named = {row["method"] for row in improved}
+    improvements = [row for row in others if row["method"] in named]
     report.figure(
-        figures.means([*mine, entry, *improved], {"type1": "Type I", "type2": "Type II", "total": "total error"}), "fig10",
+        figures.means([*mine, entry, *improvements], {"type1": "Type I", "type2": "Type II", "total": "total error"}), "fig10",
         "Fig. 10: means over the samples of PTD and its improvements, printed in Tables 6 to 8 and measured here.",
     )  # fmt: skip
-    others = [{"method": method, "kind": "printed", "total": total} for method, total in named.items()]
     report.figure(
         figures.means([*mine, entry, *others], {"total": "mean total error"}), "fig11",
         "Fig. 11: mean total error of filters, printed in Tables 6 and 8 and measured here. The paper's figure has seven more "

@@ -82,20 +82,6 @@ def seed_maps(name: str, cloud: jf.PointCloud, runs: Sequence[Mapping[str, jf.Fi
     return figure
 
 
-def densified(name: str, cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> Figure:
-    """Fig. 8: error maps of the results side by side."""
-    size = np.ptp(cloud.xyz[:, :2], axis=0)
-    figure = Figure(figsize=(4.6 * len(results), 4.2 * float(size[1] / size[0]) + 1.2), layout="constrained")
-    surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
-    for ax, (title, result) in zip(figure.subplots(1, len(results), squeeze=False)[0], results.items(), strict=True):
-        scores = jf.evaluate(result, cloud.reference)
-        title = f"{name}, {title}\nT.I {scores.type1:.1f}, T.II {scores.type2:.1f}, total error {scores.total:.1f} %"
-        plots.error_map(cloud, result, cloud.reference, surface=surface, ax=ax, title=title)
-        if ax is not figure.axes[0]:
-            ax.set_ylabel("")
-    return figure
-
-
 def every_sample(clouds: Mapping[str, jf.PointCloud], results: Mapping[str, Mapping[str, jf.FilterResult]]) -> Figure:
     """Fig. 9: error maps of all samples, two samples in a row, the results of each side by side."""
     each = len(next(iter(results.values())))

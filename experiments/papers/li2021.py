@@ -6,7 +6,8 @@ import argparse
 import dataclasses
 import statistics
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.papers import li2021_figures as figures
 from experiments.papers import paper
-from experiments.report import Column, Row, cores, write_csv
+from experiments.report import Column, Row, write_csv
 from jaxfilter.core.points import Points, canonical_points
 from jaxfilter.core.result import Progress
 from jaxfilter.engines.tin.growth import Network
@@ -31,24 +32,52 @@ SOURCE = """H. Li, C. Ye, Z. Guo, R. Wei, L. Wang, J. Li (2021): A fast progress
 airborne LiDAR data using adjacent surface information. IEEE J. Sel. Topics Appl. Earth Obs. Remote Sens. 14.
 doi:10.1109/JSTARS.2021.3131586. Theirs: Python on six cores at 2.9 GHz, eight threads."""
 
-VARIANTS = {
+
+class LiteralStep1(jf.FPTD):
+    """FPTD with step 1 of Sec. II-E word by word: "the highest point in the initial block seed points" plus e is the limit of a
+    block for good, however high the ground grows."""
+
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
+        network = super().start(points, workers, progress, trace)
+        highest = np.full(network.sheet[-1] + 1, -np.inf, np.float32)
+        np.maximum.at(highest, network.sheet[network.seed], network.xyz[network.seed, 2])
+        below = network.xyz[:, 2] < highest[network.sheet] + np.float32(self.max_elevation)
+        return dataclasses.replace(network, open=network.open & below)
+
+
+VARIANTS: dict[str, tuple[str, str, Callable[[str], jf.Filter]]] = {
     "fptd": (
         "FPTD",
         "thresholds of the terrain class, one triangulation, clusters of low points barred without labels",
+        jf.FPTD.preset,
     ),
-    "fptd_independent": ("FPTD, independent blocks", "the same in blocks that grow on their own, as in the paper"),
+    "fptd_independent": (
+        "FPTD, independent blocks",
+        "the same in blocks that grow on their own, as in the paper",
+        partial(jf.FPTD.preset, blocks="independent"),
+    ),
     "fptd_paper": (
         "FPTD, radius filter only",
         "as printed, with nothing in place of the manual removal of low outliers",
+        lambda terrain: jf.FPTD.preset("paper", **jf.FPTD.PRESETS[terrain]),
     ),
     "fptd_step1": (
         "FPTD, independent blocks, literal step 1",
         "independent blocks; as Sec. II-E, step 1, says word by word, no point of a block is higher than its highest seed plus e",
+        partial(LiteralStep1.preset, blocks="independent"),
     ),
-    "ptd": ("PTD", "the class's angle, and its elevation limit as the distance; border points follow the ground"),
-    "ptd_static": ("PTD, static border", "the same, border points keep their first elevation"),
+    "ptd": (
+        "PTD",
+        "the class's angle, and its elevation limit as the distance; border points follow the ground",
+        jf.PTD.preset,
+    ),
+    "ptd_static": (
+        "PTD, static border",
+        "the same, border points keep their first elevation",
+        partial(jf.PTD.preset, refresh_border=False),
+    ),
 }
-"""What is run beside Table IV. The paper prints no parameters for its PTD."""
+"""What is run beside Table IV: title, description, and the filter for a terrain class. No parameters are printed for PTD."""
 ORIGINS = {"zero": "from zero", "corner": "from the corner"}
 """Where grids begin: at zero of the coordinates, as by default, or at the lower left point of the cloud (Sec. II-C)."""
 MODES = {"global": "one triangulation", "independent": "independent blocks"}
@@ -66,36 +95,6 @@ THRESHOLD_RUNS = {
     "paper": ('preset "paper"', jf.FPTD.preset("paper")),
 }
 """What is swept: heading and filter."""
-
-
-class LiteralStep1(jf.FPTD):
-    """FPTD with step 1 of Sec. II-E word by word: "the highest point in the initial block seed points" plus e is the limit of a
-    block for good, however high the ground grows."""
-
-    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
-        network = super().start(points, workers, progress, trace)
-        highest = np.full(network.sheet[-1] + 1, -np.inf, np.float32)
-        np.maximum.at(highest, network.sheet[network.seed], network.xyz[network.seed, 2])
-        below = network.xyz[:, 2] < highest[network.sheet] + np.float32(self.max_elevation)
-        return dataclasses.replace(network, open=network.open & below)
-
-
-def variant(name: str, terrain: str) -> jf.Filter:
-    """A filter of :data:`VARIANTS` with the thresholds of a terrain class."""
-    match name:
-        case "fptd":
-            return jf.FPTD.preset(terrain)
-        case "fptd_independent":
-            return jf.FPTD.preset(terrain, blocks="independent")
-        case "fptd_paper":
-            return jf.FPTD.preset("paper", **jf.FPTD.PRESETS[terrain])
-        case "fptd_step1":
-            return LiteralStep1.preset(terrain, blocks="independent")
-        case "ptd":
-            return jf.PTD.preset(terrain)
-        case "ptd_static":
-            return jf.PTD.preset(terrain, refresh_border=False)
-    raise KeyError(name)
 
 
 def main(given: list[str] | None = None) -> None:
@@ -142,13 +141,13 @@ def _samples(options: argparse.Namespace, repeats: int) -> tuple[list[Row], list
     for name, cloud in paper.clouds(options):
         results = {}
         for origin, seen in (("zero", cloud), ("corner", paper.from_corner(options, name, cloud))):
-            for method in VARIANTS:
-                filter_ = variant(method, terrain[name])
+            for method, (_, _, make) in VARIANTS.items():
+                filter_ = make(terrain[name])
                 row, results[method, origin] = paper.score_row(name, method, filter_, seen, 0)
                 row |= {"terrain": terrain[name], "origin": origin}
                 row.pop("seconds"), row.pop("first_call_seconds")
                 if origin == "zero":
-                    cpu = paper.clocked(filter_, seen, repeats)[1]
+                    cpu = paper.cpu_seconds({method: filter_}, seen, repeats, workers=None)[method]
                     row |= {"cpu": statistics.median(cpu)} | {f"cpu_{i}": value for i, value in enumerate(cpu, 1)}
                 rows.append(row)
                 _say(
@@ -189,7 +188,7 @@ def outlier_row(name: str, cloud: jf.PointCloud, result: jf.FilterResult) -> Row
 
 
 def _sites(options: argparse.Namespace, repeats: int) -> list[Row]:
-    """One row per site: FPTD on all points, in one triangulation and in blocks, with one thread and with one per core."""
+    """One row per site: FPTD on all points, in one triangulation and in blocks, with one thread."""
     folder = samples.data_folder(options.data)
     terrain = samples.terrain_classes()
     rows: list[Row] = []
@@ -202,13 +201,10 @@ def _sites(options: argparse.Namespace, repeats: int) -> list[Row]:
         row: Row = {"site": site, "file": path.name, "terrain": terrain[site], "points": len(cloud)}
         for blocks in MODES:
             filter_ = jf.FPTD.preset(terrain[site], blocks=blocks)
-            for workers in sorted({1, cores()}):
-                result, cpu, wall = paper.clocked(filter_, cloud, repeats if workers == 1 else 1, workers)
-                row[f"{blocks}_{workers}"] = statistics.median(wall)
-                if workers == 1:
-                    row |= {f"{blocks}_cpu": statistics.median(cpu), f"{blocks}_rounds": result.info["rounds"]}
-                    row |= {f"{blocks}_cpu_{i}": value for i, value in enumerate(cpu, 1)}
-            row[f"{blocks}_speedup"] = row[f"{blocks}_1"] / row[f"{blocks}_{cores()}"]
+            cpu = paper.cpu_seconds({blocks: filter_}, cloud, repeats)[blocks]
+            result = filter_(cloud, workers=1)
+            row |= {f"{blocks}_cpu": statistics.median(cpu), f"{blocks}_rounds": result.info["rounds"]}
+            row |= {f"{blocks}_cpu_{i}": value for i, value in enumerate(cpu, 1)}
             if blocks == "global":
                 row |= {"ground": int(result.ground.sum()), "cpu": row["global_cpu"]}
                 if site == "FSite5":
@@ -281,31 +277,26 @@ def thresholds(report: paper.Report, grids: Mapping[str, xarray.Dataset]) -> Non
         'clusters of low points barred; `independent`: the same in blocks that grow on their own; `paper`: the preset "paper".'
     )
     names = [row["sample"] for row in rows if row["run"] == "global"]
-    marks = {
-        name: {"max_angle": chosen[name]["max_angle"], "max_elevation": chosen[name]["max_elevation"]} for name in names
-    }
-    terrain = {name: chosen[name]["terrain"] for name in names}
-    for number, axis in ((5, "max_angle"), (6, "max_elevation")):
-        other, values = (
-            ("max_elevation", dict.fromkeys(names, FIRST_ELEVATION))
-            if axis == "max_angle"
-            else ("max_angle", {name: marks[name]["max_angle"] for name in names})
-        )
+    at_printed = {name: chosen[name]["max_angle"] for name in names}
+    for number, axis, other, values, kept in (
+        (
+            5,
+            "max_angle",
+            "max_elevation",
+            dict.fromkeys(names, FIRST_ELEVATION),
+            f"an elevation of {FIRST_ELEVATION} m",
+        ),
+        (6, "max_elevation", "max_angle", at_printed, "the printed angle of the sample's class"),
+    ):
         lines = {
             (THRESHOLD_RUNS[run][0], name): grid.sel({"cloud": name, other: values[name]})
             for run, grid in grids.items()
             for name in names
         }
-        kept = (
-            f"at an elevation of {FIRST_ELEVATION} m"
-            if axis == "max_angle"
-            else "at the printed angle of the sample's class"
-        )
-        picture = figures.thresholds(lines, axis, {name: marks[name][axis] for name in names}, terrain)
         report.figure(
-            picture,
+            figures.thresholds(lines, axis, {name: chosen[name] for name in names}),
             f"fig{number}",
-            f"Fig. {number}: kappa and errors on the samples that stand for the terrain classes, {kept}. Dotted: the printed "
+            f"Fig. {number}: kappa and errors on the samples that stand for the terrain classes, at {kept}. Dotted: the printed "
             "choice; circle: the best kappa measured. Scores over all points of the sample; the paper prints no value of a "
             "curve.",
             150,
@@ -339,51 +330,49 @@ def threshold_claims(report: paper.Report, grids: Mapping[str, xarray.Dataset], 
         by_angle = grid.sel(max_elevation=FIRST_ELEVATION)
         falls = by_angle.type1.diff("max_angle").values <= 0
         rises = by_angle.type2.diff("max_angle").values >= 0
-        report.verdict(
-            f"The larger the angle, the smaller T.I and the larger T.II ({title}).",
-            "no figures",
-            f"T.I does not rise in {falls.sum()} and T.II does not fall in {rises.sum()} of {falls.size} steps",
-            bool(falls.mean() > 0.9 and rises.mean() > 0.9),
-        )
-        peaks = [
-            0 < int(by_angle.kappa.sel(cloud=row["sample"]).values.argmax()) < by_angle.sizes["max_angle"] - 1
-            for row in found
-        ]
-        report.verdict(
-            f"Kappa rises, then falls with the angle ({title}).",
-            "no figures",
-            f"the highest kappa lies inside the range on {sum(peaks)} of {len(peaks)} samples",
-            all(peaks),
-        )
+        kappas = [by_angle.kappa.sel(cloud=row["sample"]).values for row in found]
+        peaks = [0 < int(values.argmax()) < len(values) - 1 for values in kappas]
         angles = [row["angle"] for row in sorted(found, key=lambda row: row["terrain"])]
-        if len(angles) == len(TUNED):
-            report.verdict(
-                f"The more complicated the terrain, the larger the best angle ({title}).",
-                "18, 22, 30 and 38 degrees for D1 to D4",
-                ", ".join(f"{angle:g}" for angle in angles) + " degrees",
-                angles == sorted(angles) and angles[0] < angles[-1],
-            )
         spans = []
         for row in found:
             one = grid.kappa.sel(cloud=row["sample"])
             lines = one.sel(max_elevation=FIRST_ELEVATION), one.sel(max_angle=row["printed_angle"])
             spans.append([float(line.max() - line.min()) for line in lines])
-        report.verdict(
-            f"Kappa varies less with the elevation than with the angle ({title}).",
-            "no figures",
-            "over the printed ranges by "
-            + ", ".join(f"{e:.1f} against {a:.1f}" for a, e in spans)
-            + " points on "
-            + ", ".join(row["sample"] for row in found),
-            all(e < a for a, e in spans),
-        )
+        varies = ", ".join(f"{e:.1f} against {a:.1f}" for a, e in spans)
         lost = [row["best_kappa"] - row["kappa"] for row in found]
-        report.verdict(
-            f"The printed thresholds are the best ({title}).",
-            "Table I",
-            f"they are {statistics.fmean(lost):.2f} points of kappa below the best pair on average, {max(lost):.2f} at most",
-            max(lost) < 1.0,
-        )
+        for claim, printed, measured, holds in (
+            (
+                "The larger the angle, the smaller T.I and the larger T.II",
+                "no figures",
+                f"T.I does not rise in {falls.sum()} and T.II does not fall in {rises.sum()} of {falls.size} steps",
+                bool(falls.mean() > 0.9 and rises.mean() > 0.9),
+            ),
+            (
+                "Kappa rises, then falls with the angle",
+                "no figures",
+                f"the highest kappa lies inside the range on {sum(peaks)} of {len(peaks)} samples",
+                all(peaks),
+            ),
+            (
+                "The more complicated the terrain, the larger the best angle",
+                "18, 22, 30 and 38 degrees for D1 to D4",
+                ", ".join(f"{angle:g}" for angle in angles) + " degrees",
+                angles == sorted(angles) and angles[0] < angles[-1] if len(angles) == len(TUNED) else None,
+            ),
+            (
+                "Kappa varies less with the elevation than with the angle",
+                "no figures",
+                f"over the printed ranges by {varies} points on {', '.join(row['sample'] for row in found)}",
+                all(e < a for a, e in spans),
+            ),
+            (
+                "The printed thresholds are the best",
+                "Table I",
+                f"they are {statistics.fmean(lost):.2f} points of kappa below the best pair on average, {max(lost):.2f} at most",
+                max(lost) < 1.0,
+            ),
+        ):
+            report.verdict(f"{claim} ({title}).", printed, measured, holds)
     apart = abs(grids["independent"] - grids["global"])
     report.text(
         f"Between one triangulation and independent blocks the kappas of a pair differ by {float(apart.kappa.mean()):.2f} points "
@@ -400,7 +389,7 @@ def table4(report: paper.Report, rows: Sequence[Row]) -> None:
         columns.append((key, paper.HEADINGS[key], ".2f"))
         columns += [(f"{at}_{key}", f"{paper.HEADINGS[key]}, {at}", ".2f") for at in ("corner", "printed")]
     columns += [("cpu", "CPU s", ".3f"), ("printed_seconds", "s, printed", ".2f")]
-    for method, (title, how) in VARIANTS.items():
+    for method, (title, how, _) in VARIANTS.items():
         zero, corner = (beside_table4(rows, method, origin) for origin in ORIGINS)
         table = [
             row | {f"corner_{key}": other[key] for key in paper.SCORES} for row, other in zip(zero, corner, strict=True)
@@ -419,7 +408,7 @@ def beside_table4(rows: Sequence[Row], method: str, origin: str) -> list[Row]:
 def origins(report: paper.Report, rows: Sequence[Row]) -> None:
     """Means of Table IV with grids from zero and from the corner, and how far the total errors are from the printed ones."""
     table = []
-    for method, (title, _) in VARIANTS.items():
+    for method, (title, *_) in VARIANTS.items():
         for origin, where in ORIGINS.items():
             found = beside_table4(rows, method, origin)
             off = [abs(row["off_total"]) for row in found]
@@ -478,15 +467,9 @@ def seeds(report: paper.Report, rows: Sequence[Row]) -> None:
     """Captions of Figs. 9 to 12: numbers of seeds, simulated ones included, each counted once."""
     printed = {row["sample"]: row for row in samples.published("li2021_seeds")}
     counted = [
-        {
-            "sample": row["sample"],
-            "method": row["method"],
-            "origin": row["origin"],
-            "points": row["seeds"],
-            "simulated": row["border_points"],
-            "seeds": row["seeds"] + row["border_points"],
-            "printed_seeds": printed[row["sample"]][row["method"]],
-        }
+        {key: row[key] for key in ("sample", "method", "origin")}
+        | {"points": row["seeds"], "simulated": row["border_points"], "seeds": row["seeds"] + row["border_points"]}
+        | {"printed_seeds": printed[row["sample"]][row["method"]]}
         for row in rows
         if row["sample"] in printed and row["method"] in ("ptd", "fptd")
     ]
@@ -496,17 +479,17 @@ def seeds(report: paper.Report, rows: Sequence[Row]) -> None:
     columns += [("points", "seeds that are points", ",d"), ("simulated", "simulated", ",d"), ("seeds", "together", ",d"),
                 ("printed_seeds", "printed", ",d")]  # fmt: skip
     report.table("seeds", "Figs. 9 to 12: seeds with simulated points, from the captions", columns, counted)
-    report.text(
-        "One triangulation, so that a simulated point counts once; in independent blocks each block has its own. PTD with grids "
-        "from the corner has as many seeds as printed and four more: our last cell takes what is left over, and a simulated "
-        "point stands at the end of each side, too."
-        if all(r["seeds"] - r["printed_seeds"] == 4 for r in counted if (r["method"], r["origin"]) == ("ptd", "corner"))
-        else "One triangulation, so that a simulated point counts once; in independent blocks each block has its own."
-    )
+    text = "One triangulation, so that a simulated point counts once; in independent blocks each block has its own."
+    if all(r["seeds"] - r["printed_seeds"] == 4 for r in counted if (r["method"], r["origin"]) == ("ptd", "corner")):
+        text += (
+            " PTD with grids from the corner has as many seeds as printed and four more: our last cell takes what is left "
+            "over, and a simulated point stands at the end of each side, too."
+        )
+    report.text(text)
 
 
 def table3(report: paper.Report, rows: Sequence[Row]) -> None:
-    """Table III and Fig. 7: points, ground points and seconds on the sites, and what threads give."""
+    """Table III and Fig. 7: points, ground points and seconds on the sites."""
     printed = samples.published("li2021_table3")
     table = paper.join(rows, printed, ("site",), ("points", "ground", "seconds"))
     columns: list[Column] = [
@@ -551,19 +534,6 @@ def table3(report: paper.Report, rows: Sequence[Row]) -> None:
         }
         figures.time_against_points(shown | {"Li et al. (2021)": printed}, report.out / "time.png", 130)
         report.text("![Fig. 7: seconds against number of points, measured and printed](time.png)")
-    n = cores()
-    columns = [("site", "site", ""), ("points", "points", ",.0f")]
-    for blocks, title in MODES.items():
-        columns += [
-            (f"{blocks}_1", f"{title}, 1 thread, s", ".2f"),
-            (f"{blocks}_{n}", f"{n} threads, s", ".2f"),
-            (f"{blocks}_speedup", "speed-up", ".2f"),
-        ]
-    report.table("threads", "Threads: `workers` 1 and one per core, seconds of a clock", columns, rows, averages="site")
-    report.text(
-        "Threads here are those of the triangulations and kernel calls; XLA's own are not limited. Other work on the machine "
-        "takes part in these figures."
-    )
 
 
 def fit(rows: Sequence[Row], key: str, seconds: str) -> Row:
@@ -622,16 +592,12 @@ def verdicts(report: paper.Report, rows: Sequence[Row], others: Sequence[Row]) -
         ("type2", "a higher mean Type II error", "7.79 to 12.23 %"),
     ):
         pairs = [(mean["ptd_static", origin][key], mean["fptd", origin][key]) for origin in ORIGINS]
-        report.verdict(
-            f"FPTD has {claim} than PTD.",
-            printed,
-            " and ".join(
-                f"{ptd:.2f} to {fptd:.2f} % with grids {where}"
-                for (ptd, fptd), where in zip(pairs, ORIGINS.values(), strict=True)
-            )
-            + " (PTD with static border)",
-            all((fptd < ptd) == ("lower" in claim) for ptd, fptd in pairs),
+        found = " and ".join(
+            f"{ptd:.2f} to {fptd:.2f} % with grids {where}"
+            for (ptd, fptd), where in zip(pairs, ORIGINS.values(), strict=True)
         )
+        lower = all((fptd < ptd) == ("lower" in claim) for ptd, fptd in pairs)
+        report.verdict(f"FPTD has {claim} than PTD.", printed, f"{found} (PTD with static border)", lower)
     better = {
         origin: [
             new["sample"]
@@ -705,14 +671,6 @@ def verdicts_on_time(report: paper.Report, rows: Sequence[Row], site_rows: Seque
             f"the files at hand span a factor of {span:.1f} in points, those of the paper 3.9",
             paper.agreed([value > 0.9 for value in r2]) if span >= 3 else None,
         )
-    speedup = [row["independent_speedup"] for row in site_rows]
-    report.verdict(
-        'Several threads shorten the time "to some extent" (Sec. II-E).',
-        "no figure",
-        f"{cores()} threads make independent blocks {min(speedup):.2f} to {max(speedup):.2f} times as fast; CPU seconds cannot "
-        "tell, and seconds of a clock depend on what else the machine does",
-        None,
-    )
 
 
 def _say(text: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
+from scipy.stats import linregress
 
 import jaxfilter as jf
 from experiments.isprs import samples
@@ -32,12 +33,10 @@ CURVES = {
 """Label and colour of the scores of Figs. 5 and 6."""
 
 
-def thresholds(
-    lines: Mapping[tuple[str, str], xarray.Dataset], axis: str, printed: Mapping[str, float], terrain: Mapping[str, str]
-) -> Figure:
+def thresholds(lines: Mapping[tuple[str, str], xarray.Dataset], axis: str, chosen: Mapping[str, Row]) -> Figure:
     """Fig. 5 or 6: kappa and errors against one threshold; a column per sample, a row per run.
 
-    ``lines``: the scores along ``axis`` for each (run, sample); ``printed``: the paper's choice, ``terrain``: the class.
+    ``lines``: the scores along ``axis`` for each (run, sample); ``chosen``: by sample the row of Table I.
     """
     runs, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
     figure = Figure(figsize=(2.3 * len(names) + 0.6, 2.0 * len(runs) + 0.9), layout="constrained")
@@ -48,14 +47,14 @@ def thresholds(
             ax.plot(line[axis], line[score], color=colour, marker="o", markersize=2.5, linewidth=1.2, label=label)
         best = int(line.kappa.values.argmax())
         ax.plot(line[axis][best], line.kappa[best], "o", markersize=7, color="none", markeredgecolor=CURVES["kappa"][1])
-        ax.axvline(printed[name], color="0.4", linestyle=":", linewidth=1.2)
+        ax.axvline(chosen[name][axis], color="0.4", linestyle=":", linewidth=1.2)
         ax.set_ylim(0, 100)
         ax.set_xticks(line[axis].values[::2], [f"{value:g}" for value in line[axis].values[::2]])
         ax.tick_params(labelsize=8)
         ax.grid(color="0.92", linewidth=0.6)
         ax.spines[["top", "right"]].set_visible(False)
     for ax, name in zip(panels[0], names, strict=True):
-        ax.set_title(f"{name} ({terrain[name]})", fontsize=10)
+        ax.set_title(f"{name} ({chosen[name]['terrain']})", fontsize=10)
     for ax, run in zip(panels[:, 0], runs, strict=True):
         ax.set_ylabel(f"{run} (%)", fontsize=9)
     unit = {"max_angle": "largest angle a (degrees)", "max_elevation": "largest relative elevation e (m)"}[axis]
@@ -67,10 +66,8 @@ def thresholds(
 
 def time_fit(points: Sequence[float], seconds: Sequence[float]) -> tuple[float, float, float]:
     """Least-squares line of seconds against millions of points: slope, intercept, and R squared."""
-    x, y = np.asarray(points, float) / 1e6, np.asarray(seconds, float)
-    slope, intercept = np.polyfit(x, y, 1)
-    residual = y - (slope * x + intercept)
-    return float(slope), float(intercept), float(1 - (residual**2).sum() / ((y - y.mean()) ** 2).sum())
+    line = linregress(np.asarray(points, float) / 1e6, np.asarray(seconds, float))
+    return float(line.slope), float(line.intercept), float(line.rvalue**2)
 
 
 def time_against_points(tables: Mapping[str, Sequence[Row]], path: Path, dpi: int) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, markdown, save_png, with_averages, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, save_png, with_averages, write_csv, write_page
+from jaxfilter import plots
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -35,19 +37,12 @@ FORMATS = {"points": ",.0f", "ground": ",.0f", "seeds": ",.0f", "seconds": ".3f"
 
 def arguments(name: str, description: str | None, given: Sequence[str] | None = None) -> argparse.Namespace:
     """The options of a study called ``name``: data, out, samples, quick; ``command``: what was typed, for the report."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ and isprs_sites/ [JAXFILTER_DATA]")
-    parser.add_argument(
-        "--out", type=Path, default=HERE.parent / "out" / "papers" / name, help="folder for the results [%(default)s]"
-    )
+    parser = CommandLine(str(HERE / f"{name}.py"), description, f"../out/papers/{name}")
     parser.add_argument(
         "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all of the paper]"
     )
     parser.add_argument("--quick", action="store_true", help="a few small samples and one call each")
-    options = parser.parse_args(given)
-    typed = sys.argv[1:] if given is None else list(given)
-    options.command = shlex.join(["python", f"experiments/papers/{name}.py", *typed])
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = parser.options(given)
     keep_compilations()
     return options
 
@@ -68,25 +63,10 @@ def from_corner(options: argparse.Namespace, name: str, cloud: jf.PointCloud) ->
     return jf.read(path, anchor=cloud.coordinates()[:, :2].min(axis=0))
 
 
-def clocked(
-    filter_: jf.Filter, cloud: jf.PointCloud, repeats: int, workers: int | None = None
-) -> tuple[jf.FilterResult, list[float], list[float]]:
-    """The result, and the CPU and the wall seconds of each of ``repeats`` calls after a first one.
-
-    CPU seconds are those of all threads of this process, so that other work on the machine does not count.
-    """
-    result, cpu, wall = filter_(cloud, workers=workers), [], []
-    for _ in range(repeats):
-        start = time.process_time(), time.perf_counter()
-        filter_(cloud, workers=workers)
-        cpu.append(time.process_time() - start[0])
-        wall.append(time.perf_counter() - start[1])
-    return result, cpu, wall
-
-
-def agreed(found: Sequence[bool]) -> bool | None:
-    """What all repetitions say, or None."""
-    return found[0] if len(set(found)) == 1 else None
+def agreed(answers: Iterable[bool | None]) -> bool | None:
+    """The answer of all, or None where they differ."""
+    found = set(answers)
+    return found.pop() if len(found) == 1 else None
 
 
 def score_row(
@@ -102,13 +82,18 @@ def score_row(
     return row | {key: result.info.get(key) for key in ("seeds", "border_points", "rounds")}, result
 
 
-def cpu_seconds(filters: Mapping[str, jf.Filter], cloud: jf.PointCloud, repeats: int) -> dict[str, list[float]]:
-    """By name, CPU seconds of ``repeats`` warm calls with one thread; one filter after the other in each repeat."""
+def cpu_seconds(
+    filters: Mapping[str, jf.Filter], cloud: jf.PointCloud, repeats: int, workers: int | None = 1
+) -> dict[str, list[float]]:
+    """By name, CPU seconds of ``repeats`` calls after a first one; one filter after the other in each repeat.
+
+    They are those of all threads of this process, so that other work on the machine does not count.
+    """
     spent: dict[str, list[float]] = {name: [] for name in filters}
     for _ in range(repeats + 1):
         for name, filter_ in filters.items():
             start = time.process_time()
-            filter_(cloud, workers=1)
+            filter_(cloud, workers=workers)
             spent[name].append(time.process_time() - start)
     return {name: found[1:] for name, found in spent.items()}
 
@@ -150,6 +135,19 @@ def columns(rows: Sequence[Row], keys: Sequence[str], values: Sequence[str], off
             if off:
                 out.append((f"off_{value}", "difference", "+" + form))
     return out
+
+
+def error_maps(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> Figure:
+    """Error maps of the results side by side over the shaded reference ground, with their errors in the titles."""
+    width, height = np.ptp(cloud.xyz[:, :2], axis=0)
+    figure = Figure(figsize=(4.6 * len(results), 4.3 * min(float(height / width), 1.6) + 1.1), layout="constrained")
+    surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
+    for ax, (name, result) in zip(figure.subplots(1, len(results), squeeze=False)[0], results.items(), strict=True):
+        scores = jf.evaluate(result, cloud.reference)
+        title = f"{name}\nT.I {scores.type1:.1f}, T.II {scores.type2:.1f}, total error {scores.total:.2f} %"
+        plots.error_map(cloud, result, cloud.reference, surface=surface, ax=ax, title=title)
+        ax.label_outer()
+    return figure
 
 
 class Report:

@@ -6,13 +6,16 @@ import argparse
 import dataclasses
 import itertools
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import jax
 import numpy as np
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -113,8 +116,11 @@ def main(given: Sequence[str] | None = None) -> None:
         report.figure(terrain_panels(sites[name], results[name]), f"terrain_{name}",
                       f"{name}: shaded ground of the reference and of each method, fixed protocol; T.I / T.II / total error.",
                       dpi=110)  # fmt: skip
-        report.figure(error_panels(sites[name], results[name]), f"errors_{name}",
-                      f"{name}: errors of PPDF and of the best other method of the fixed protocol.", dpi=95)  # fmt: skip
+        other = best_other(sites[name], results[name])
+        report.figure(
+            paper.error_maps(sites[name], {m.upper(): results[name][m] for m in ("ppdf", other)}), f"errors_{name}",
+            f"{name}: errors of PPDF and of the best other method of the fixed protocol.", dpi=95,
+        )  # fmt: skip
     report.write("ppdf", "msf", "pmf", "csf", "ptdf", "scenes")
 
 
@@ -214,17 +220,9 @@ def run(site: str, filter_: jf.Filter, cloud: jf.PointCloud, **names: Any) -> tu
     return row | {"rounds": result.info.get("rounds"), "status": result.status.name}, result
 
 
-def table(
-    report: paper.Report, name: str, title: str, rows: Sequence[Row], keys: Sequence[str], values: Sequence[str]
-) -> None:
-    """A table of some columns of ``rows``; all columns are in the CSV."""
-    report.table(name, title, paper.columns(rows, keys, values), rows)
-
-
 def mean(rows: Sequence[Row], value: str = "total", **where: Any) -> float:
-    """Over the rows in which the named columns have these values; ``site``: any of several."""
-    sites = where.pop("sites", None)
-    chosen = [r for r in rows if (sites is None or r["site"] in sites) and all(r[k] == v for k, v in where.items())]
+    """Over the rows in which the named columns have these values."""
+    chosen = [row for row in rows if all(row[key] == v for key, v in where.items())]
     return float(np.mean([r[value] for r in chosen]))
 
 
@@ -241,7 +239,8 @@ def comparison(report: paper.Report, sites: Mapping[str, jf.PointCloud]) -> dict
             rows.append(run(site, filter_, cloud, method=method, settings="Table 2")[0])
         same = fixed("ppdf", cloud).replace(max_distance=0.5)
         rows.append(run(site, same, cloud, method="ppdf", settings="fixed, 0.5 m")[0])
-    table(report, "comparison", "Table 2 and Fig. 11: accuracy", rows, ("site", "method", "settings"), paper.SCORES)
+    columns = paper.columns(rows, ("site", "method", "settings"), paper.SCORES)
+    report.table("comparison", "Table 2 and Fig. 11: accuracy", columns, rows)
     settings = [
         f"{row['method']} {row['parameter'].replace('_', ' ')} {row['value']:g}"
         for row in samples.published("cai2023_table2")
@@ -286,19 +285,19 @@ def verdicts(report: paper.Report, rows: Sequence[Row], means: Sequence[Row], si
         report.verdict(f"PPDF has the smallest {title} of the five.", printed,
                        f"{values[0]:.2f} %, and {values[1]:.2f} % with a last distance of 0.5 m; best other "
                        f"{best['method'].upper()} ({best['settings']}) {best[key]:.2f} %",
-                       agreed(above(best[key], value) for value in values))  # fmt: skip
-    others = {s: min(r["type1"] for r in rows if r["site"] == s and r["method"] in four) for s in sites}
+                       paper.agreed(above(best[key], value) for value in values))  # fmt: skip
     of_site = {(r["site"], r["settings"]): r for r in rows if r["method"] == "ppdf"}
     own = {s: of_site[s, "fixed"] for s in sites}
-    counts = [sum(of_site[s, k]["type1"] <= others[s] for s in sites) for k in ("fixed", "fixed, 0.5 m")]
-    report.verdict("The smallest T.I at most sites.", "5 of 6",
-                   f"{counts[0]} of {len(sites)}, and {counts[1]} with a last distance of 0.5 m",
-                   agreed(count > len(sites) / 2 for count in counts))  # fmt: skip
-    near = [sum(of_site[s, k]["type2"] <= min(r["type2"] for r in rows if r["site"] == s and r["method"] in four) + INSENSITIVE
-                for s in sites) for k in ("fixed", "fixed, 0.5 m")]  # fmt: skip
-    report.verdict("The smallest T.II, or one close to it, at most sites.", "no numbers",
-                   f"within {INSENSITIVE:g} point of the smallest at {near[0]} of {len(sites)}, and at {near[1]} with a last "
-                   "distance of 0.5 m", agreed(count > len(sites) / 2 for count in near))  # fmt: skip
+    for key, margin, claim, printed, within in (
+        ("type1", 0.0, "The smallest T.I at most sites.", "5 of 6", ""),
+        ("type2", INSENSITIVE, "The smallest T.II, or one close to it, at most sites.", "no numbers",
+         f"within {INSENSITIVE:g} point of the smallest at "),
+    ):  # fmt: skip
+        least = {s: min(r[key] for r in rows if r["site"] == s and r["method"] in four) for s in sites}
+        counts = [sum(of_site[s, k][key] <= least[s] + margin for s in sites) for k in ("fixed", "fixed, 0.5 m")]
+        again = f", and {'at ' if within else ''}{counts[1]} with a last distance of 0.5 m"
+        report.verdict(claim, printed, f"{within}{counts[0]} of {len(sites)}{again}",
+                       paper.agreed(count > len(sites) / 2 for count in counts))  # fmt: skip
     worst = max(row["total"] for row in own.values())
     report.verdict("Below 5 % also under dense canopy and on broken ground.", "Sites 2 and 6 below 5 %",
                    f"{worst:.2f} % at most", worst < 5)  # fmt: skip
@@ -315,12 +314,6 @@ def verdicts(report: paper.Report, rows: Sequence[Row], means: Sequence[Row], si
 def above(value: float, other: float) -> bool | None:
     """Whether a figure in per cent exceeds another; None where they differ by :data:`NOISE` at most."""
     return None if abs(value - other) <= NOISE else value > other
-
-
-def agreed(answers: Iterable[bool | None]) -> bool | None:
-    """The answer of all, or None where they differ."""
-    found = set(answers)
-    return found.pop() if len(found) == 1 else None
 
 
 def readings(
@@ -378,7 +371,7 @@ def readings(
     for reading, high in most.items():
         report.verdict(f"Total errors as those of the paper can be had ({reading}): {limit:.2f} % or less, its mean and two "
                        "deviations.", "3.42 +- 2.45 %", ", ".join(f"{v:.1f} % at most on the {k}" for k, v in high.items()),
-                       agreed(v <= limit for v in high.values()))  # fmt: skip
+                       paper.agreed(v <= limit for v in high.values()))  # fmt: skip
     inside = [row["site"] for row in described if row["outside"] == "none"]
     errors = {r: [x["total"] for x in rows if x["reading"] == r and x["site"] in inside] for r in READINGS}
     report.verdict(
@@ -387,7 +380,7 @@ def readings(
          "no site here is in the paper's ranges of density, slope, cover and height at once (see the sites); on all of them: ")
         + "; ".join(f"{min(e):.1f} to {max(e):.1f} % {r}" for r, e in
                     ((r, errors[r] or [x["total"] for x in rows if x["reading"] == r and x["site"] in sites]) for r in READINGS)),
-        agreed(e <= limit for e in errors["as printed"]))  # fmt: skip
+        paper.agreed(e <= limit for e in errors["as printed"]))  # fmt: skip
 
 
 def ablation(
@@ -472,7 +465,7 @@ def speed(report: paper.Report, sites: Mapping[str, jf.PointCloud], described: S
                 "bears it out. About as fast: between half and twice the time.")  # fmt: skip
     own = sums["ppdf fixed"]
     alike = [
-        agreed(a <= 2 * b and b <= 2 * a for a, b in zip(own, sums[f"{m} Table 2"], strict=True))
+        paper.agreed(a <= 2 * b and b <= 2 * a for a, b in zip(own, sums[f"{m} Table 2"], strict=True))
         for m in ("pmf", "csf")
     ]
     text = ", ".join(f"{name} {float(np.median(sums[name])):.2f} s" for name in names)
@@ -492,7 +485,7 @@ def speed(report: paper.Report, sites: Mapping[str, jf.PointCloud], described: S
         "The denser the points, the more time PPDF takes.", "no numbers; high, medium and low density",
         ", ".join(f"{np.median([p[i] for p in pace]):.2f} s per hectare at {density[group[0]]:.1f} points/m2"
                   for i, group in enumerate(groups)),
-        agreed(all(a < b for a, b in itertools.pairwise(p)) for p in pace))  # fmt: skip
+        paper.agreed(all(a < b for a, b in itertools.pairwise(p)) for p in pace))  # fmt: skip
 
 
 DENSITIES = {0.25: (400.0, 300.0), 1.0: (240.0, 180.0), 4.0: (140.0, 100.0)}
@@ -652,7 +645,7 @@ def stages(report: paper.Report, tiles: Mapping[str, jf.PointCloud]) -> None:
         text = "; ".join(f"{site}: " + ", ".join(f"{r['size']:g} m {r[key]:.1f}" for r in planes if r["site"] == site)
                          for site in steps)  # fmt: skip
         groups = [[r[key] for r in planes if r["site"] == site and r["planes"] >= 10] for site in steps]
-        ordered = agreed(all(a <= b for a, b in itertools.pairwise(group)) for group in groups)
+        ordered = paper.agreed(all(a <= b for a, b in itertools.pairwise(group)) for group in groups)
         report.verdict(title, "shown for three places", f"{text} degrees", ordered)
     report.figure(plane_maps(steps), "planes", "Fig. 7: accepted planes by size over the shaded reference ground; without "
                   "colour: no reliable plane with 20 points near it.", dpi=110)  # fmt: skip
@@ -671,7 +664,7 @@ def stages(report: paper.Report, tiles: Mapping[str, jf.PointCloud]) -> None:
         unit = "%" if key == "raised" else "of 40"
         text = ", ".join(f"{b[key]:.4g} against {a[key]:.4g} {unit} on {a['site']}" for a, b in pairs)
         holds = (b[key] > a[key] if key == "raised" else b[key] < a[key] for a, b in pairs)
-        report.verdict(title, "shown, no numbers", text, agreed(holds))
+        report.verdict(title, "shown, no numbers", text, paper.agreed(holds))
     report.figure(seed_maps(steps), "stage_seeds", "Fig. 9: seeds in the middle 50 m of each tile, over the shaded reference "
                   "ground: lowest point of each cell (left), points near planes (right).", dpi=110)  # fmt: skip
 
@@ -749,15 +742,13 @@ def references(
             f"{r['ground_quadrants']:.2f} against {r['ground_nearest']:.2f} % on {r['site']}" for r in mine
         )
         report.verdict(f"Quadrants find ground that the nearest references miss ({reading}).", "shown, no numbers", text,
-                       agreed(above(r["ground_quadrants"], r["ground_nearest"]) for r in mine))  # fmt: skip
+                       paper.agreed(above(r["ground_quadrants"], r["ground_nearest"]) for r in mine))  # fmt: skip
     report.figure(reference_maps({name: sites[name] for name in TILES}, found), "references", "Fig. 10: reference ground by what "
                   "finds it, recommended, whole tiles.", dpi=110)  # fmt: skip
 
 
-def accuracy_bars(rows: Sequence[Row], sites: Sequence[str]) -> Any:
+def accuracy_bars(rows: Sequence[Row], sites: Sequence[str]) -> Figure:
     """Fig. 11 a to c."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.5, 6.6), layout="constrained")
     x, width = np.arange(len(sites)), 0.8 / len(COMPARED)
     value = {(r["site"], r["method"], r["settings"]): r for r in rows}
@@ -782,10 +773,8 @@ def accuracy_bars(rows: Sequence[Row], sites: Sequence[str]) -> Any:
     return figure
 
 
-def condition_maps(cloud: jf.PointCloud) -> Any:
+def condition_maps(cloud: jf.PointCloud) -> Figure:
     """Fig. 4."""
-    from matplotlib.figure import Figure
-
     width, height = np.ptp(cloud.xyz[:, :2], axis=0)
     figure = Figure(figsize=(10.0, 3.1 * float(height / width) + 0.7), layout="constrained")
     titles = {"slope": "a) slope, degrees", "cover": "b) canopy cover, %", "height": "c) canopy height, m"}
@@ -800,10 +789,8 @@ def condition_maps(cloud: jf.PointCloud) -> Any:
     return figure
 
 
-def ablation_bars(means: Sequence[Row], sites: Sequence[str]) -> Any:
+def ablation_bars(means: Sequence[Row], sites: Sequence[str]) -> Figure:
     """Fig. 16."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.5, 3.4), layout="constrained")
     ax = figure.subplots()
     names = [*sites, "recommended"]
@@ -820,10 +807,8 @@ def ablation_bars(means: Sequence[Row], sites: Sequence[str]) -> Any:
     return figure
 
 
-def curves(rows: Sequence[Row], sites: Sequence[str]) -> Any:
+def curves(rows: Sequence[Row], sites: Sequence[str]) -> Figure:
     """Fig. 17."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 4.8), layout="constrained")
     top = 1.1 * max(row["total"] for row in rows)
     for ax, (name, title) in zip(figure.subplots(2, 3, sharey=True).ravel(), PANELS.items(), strict=True):
@@ -842,10 +827,8 @@ def curves(rows: Sequence[Row], sites: Sequence[str]) -> Any:
     return figure
 
 
-def canopy_profiles(steps: Mapping[str, Stages]) -> Any:
+def canopy_profiles(steps: Mapping[str, Stages]) -> Figure:
     """Fig. 6: a row per tile, where it is flattest and where it is steepest."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(10.0, 2.7 * len(steps) + 0.3), layout="constrained")
     axes = figure.subplots(len(steps), 2, squeeze=False)
     for row, (site, s) in zip(axes, steps.items(), strict=True):
@@ -875,12 +858,8 @@ def canopy_profiles(steps: Mapping[str, Stages]) -> Any:
     return figure
 
 
-def plane_maps(steps: Mapping[str, Stages]) -> Any:
+def plane_maps(steps: Mapping[str, Stages]) -> Figure:
     """Fig. 7: a map per tile."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch, Rectangle
-
     colours = {10.0: "#0072B2", 5.0: "#009E73", 2.5: "#E69F00", 1.25: "#D55E00", 0.625: "#CC79A7"}
     aspect = [s.terrain[2].ny / s.terrain[2].nx for s in steps.values()]
     figure = Figure(figsize=(5.2 * sum(1 / a for a in aspect) + 1.2, 6.2), layout="constrained")
@@ -904,10 +883,8 @@ def plane_maps(steps: Mapping[str, Stages]) -> Any:
     return figure
 
 
-def seed_maps(steps: Mapping[str, Stages]) -> Any:
+def seed_maps(steps: Mapping[str, Stages]) -> Figure:
     """Fig. 9: a row per tile, local minima and planes."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.4, 4.1 * len(steps) + 0.4), layout="constrained")
     axes = figure.subplots(len(steps), 2, squeeze=False)
     for row, (site, s) in zip(axes, steps.items(), strict=True):
@@ -927,10 +904,8 @@ def seed_maps(steps: Mapping[str, Stages]) -> Any:
     return figure
 
 
-def reference_maps(tiles: Mapping[str, jf.PointCloud], found: Mapping[tuple[str, str, str], np.ndarray]) -> Any:
+def reference_maps(tiles: Mapping[str, jf.PointCloud], found: Mapping[tuple[str, str, str], np.ndarray]) -> Figure:
     """Fig. 10: a map per tile."""
-    from matplotlib.figure import Figure
-
     aspect = [float(np.divide(*np.ptp(cloud.xyz[:, 1::-1], axis=0))) for cloud in tiles.values()]
     figure = Figure(figsize=(5.2 * sum(1 / a for a in aspect) + 1.2, 6.2), layout="constrained")
     axes = figure.subplots(1, len(tiles), squeeze=False, width_ratios=[1 / a for a in aspect])[0]
@@ -952,18 +927,15 @@ def reference_maps(tiles: Mapping[str, jf.PointCloud], found: Mapping[tuple[str,
     return figure
 
 
-def terrain_panels(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> Any:
+def terrain_panels(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> Figure:
     """Figs. 13 and 14: shaded ground."""
-    from matplotlib.figure import Figure
-
     width, height = np.ptp(cloud.xyz[:, :2], axis=0)
     across = 11.0 if height < 1.3 * width else 8.0
     figure = Figure(figsize=(across, 2 * (0.88 * across / 4 * float(height / width) + 0.4)), layout="constrained")
     axes = figure.subplots(2, 4, sharex=True, sharey=True)
-    cell = 0.5
     labels = {"reference": cloud.reference} | {method: result.ground for method, result in results.items()}
     for ax, (method, ground) in zip(axes.ravel(), labels.items(), strict=True):
-        plots.hillshade(plots.rasterise(cloud.xyz[ground], cell, over=cloud.xyz), ax=ax)
+        plots.hillshade(plots.rasterise(cloud.xyz[ground], 0.5, over=cloud.xyz), ax=ax)
         title = "reference"
         if method != title:
             scores = jf.evaluate(ground, cloud.reference)
@@ -973,19 +945,12 @@ def terrain_panels(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult])
     return figure
 
 
-def error_panels(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> Any:
-    """Where PPDF and the best other method err."""
-    from matplotlib.figure import Figure
-
-    total = {method: jf.evaluate(result, cloud.reference).total for method, result in results.items()}
-    other = min((m for m in total if m != "ppdf"), key=lambda m: total[m])
-    width, height = np.ptp(cloud.xyz[:, :2], axis=0)
-    figure = Figure(figsize=(9.0, 4.3 * min(float(height / width), 1.6) + 0.9), layout="constrained")
-    surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
-    for ax, method in zip(figure.subplots(1, 2), ("ppdf", other), strict=True):
-        title = f"{method.upper()}: total error {total[method]:.2f} %"
-        plots.error_map(cloud, results[method], cloud.reference, surface=surface, ax=ax, title=title)
-    return figure
+def best_other(cloud: jf.PointCloud, results: Mapping[str, jf.FilterResult]) -> str:
+    """The method with the least total error, PPDF left out."""
+    total = {
+        method: jf.evaluate(result, cloud.reference).total for method, result in results.items() if method != "ppdf"
+    }
+    return min(total, key=lambda method: total[method])
 
 
 if __name__ == "__main__":

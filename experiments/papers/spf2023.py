@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
@@ -123,7 +124,7 @@ def main(given: Sequence[str] | None = None) -> None:
     speed(report, clock)
     report.text("## Error maps")
     for name, cloud in shown.items():
-        figure = maps(name, cloud, {m: results[name, m] for m in ("ptd", "spf")})
+        figure = paper.error_maps(cloud, {m.upper(): results[name, m] for m in ("ptd", "spf")})
         number = 12 + SHOWN.index(name)
         report.figure(figure, name, f"Fig. {number}, {name}: errors of PTD and SPF over the shaded reference ground.")
     report.write("spf", "ptd")
@@ -174,16 +175,10 @@ def below_average(report: paper.Report) -> None:
 
 def seed_row(name: str, method: str, cloud: jf.PointCloud, result: jf.FilterResult) -> Row:
     """How many seeds there are, and the share of objects among them, per cent."""
-    seed = result.decision == jf.Decision.SEED
-    return {
-        "sample": name,
-        "method": method,
-        "potential": result.info["potential_seeds"],
-        "removed": result.info["removed_seeds"],
-        "seeds": result.info["seeds"],
-        "objects": 100 * float((~cloud.reference[seed]).mean()),
-        "object_seeds": int((~cloud.reference[seed]).sum()),
-    }
+    objects = ~cloud.reference[result.decision == jf.Decision.SEED]
+    counts = {"potential": "potential_seeds", "removed": "removed_seeds", "seeds": "seeds"}
+    row = {"sample": name, "method": method} | {key: result.info[count] for key, count in counts.items()}
+    return row | {"objects": 100 * float(objects.mean()), "object_seeds": int(objects.sum())}
 
 
 def terrain_slope(cloud: jf.PointCloud) -> np.ndarray:
@@ -277,10 +272,8 @@ def by_slope(report: paper.Report, rows: Sequence[Row]) -> None:
     )
 
 
-def slope_lines(table: Sequence[Row]) -> Any:
+def slope_lines(table: Sequence[Row]) -> Figure:
     """Type I errors by slope class, and the number of ground points in each."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2, 1))
     x = np.arange(len(table))
@@ -314,41 +307,27 @@ def table2(report: paper.Report, rows: Sequence[Row]) -> None:
     """Table 2 and the sentences about it."""
     printed = samples.published("chen2023_table2")
     for method, title in (("spf", "Table 2, our method"), ("ptd", "Table 2, PTD")):
-        report.beside(
-            f"table2_{method}",
-            title,
-            of(rows, method),
-            [r for r in printed if r["method"] == method],
-            keys=("sample", "method"),
-            values=VALUES,
-        )
+        theirs, keys = of(printed, method), ("sample", "method")
+        report.beside(f"table2_{method}", title, of(rows, method), theirs, keys=keys, values=VALUES)
     report.figure(bars(rows, printed), "bars", "Figs. 9 to 11: T.I, T.II and total error; printed as outlines.")
     report.text("## Claims")
     names = [row["sample"] for row in of(rows, "spf")]
     here = {(row["sample"], row["method"]): row for row in rows}
 
-    def better(value: str) -> int:
-        return sum(here[s, "spf"][value] < here[s, "ptd_same"][value] for s in names)
-
     report.text("PTD here is `ptd_same`: it has the thresholds of SPF, so that the seeds alone make the difference.")
-    report.verdict(
-        "T.I is below that of PTD in most samples.",
-        "12 of 15",
-        f"{better('type1')} of {len(names)}",
-        better("type1") > len(names) / 2,
-    )
-    report.verdict(
-        "The total error is below that of PTD in most samples.",
-        "10 of 15 in the text, 11 in its table",
-        f"{better('total')} of {len(names)}",
-        better("total") > len(names) / 2,
-    )
-    report.verdict(
-        "T.II of PTD is higher in few samples only.",
-        "4 of 15 in the text, 3 in its table",
-        f"{better('type2')} of {len(names)}",
-        better("type2") < len(names) / 2,
-    )
+    for value, few, claim, printed_counts in (
+        ("type1", False, "T.I is below that of PTD in most samples.", "12 of 15"),
+        (
+            "total",
+            False,
+            "The total error is below that of PTD in most samples.",
+            "10 of 15 in the text, 11 in its table",
+        ),
+        ("type2", True, "T.II of PTD is higher in few samples only.", "4 of 15 in the text, 3 in its table"),
+    ):
+        better = sum(here[s, "spf"][value] < here[s, "ptd_same"][value] for s in names)
+        holds = better < len(names) / 2 if few else better > len(names) / 2
+        report.verdict(claim, printed_counts, f"{better} of {len(names)}", holds)
     for value, title, drop in (("type1", "mean T.I", 8.46), ("total", "mean total error", 5.06)):
         measured = mean(rows, "ptd_same", value) - mean(rows, "spf", value)
         against = mean(rows, "ptd", value) - mean(rows, "spf", value)
@@ -418,14 +397,10 @@ def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) ->
         not lost(rows, "spf_doubling"),
     )
     columns = [
-        ("sample", "sample", ""),
-        ("method", "method", ""),
-        ("potential", "potential seeds", ",.0f"),
-        ("removed", "removed", ",.0f"),
-        ("seeds", "seeds", ",.0f"),
-        ("object_seeds", "on objects", ",.0f"),
+        ("sample", "sample", ""), ("method", "method", ""), ("potential", "potential seeds", ",.0f"),
+        ("removed", "removed", ",.0f"), ("seeds", "seeds", ",.0f"), ("object_seeds", "on objects", ",.0f"),
         ("objects", "on objects, %", ".2f"),
-    ]
+    ]  # fmt: skip
     report.table("seeds", "Seeds", columns, seeds)
     both = ("spf_unfiltered", "spf")
     before, after = ({k: sum(row[k] for row in of(seeds, m)) for k in ("seeds", "object_seeds")} for m in both)
@@ -440,12 +415,6 @@ def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) ->
         f"{change['type2']:.3f}, the total error by {change['total']:.3f} points",
         change["type1"] > 0,
     )
-
-
-def agreed(answers: Iterable[bool | None]) -> bool | None:
-    """The answer of all, or None where they differ."""
-    found = set(answers)
-    return found.pop() if len(found) == 1 else None
 
 
 def lost(rows: Sequence[Row], method: str) -> list[str]:
@@ -468,7 +437,7 @@ def speed(report: paper.Report, clock: Sequence[dict[str, list[float]]]) -> None
         "16.35 s against 2.25 s, which is 7.3 times; on unnamed data, and that PTD adds points one by one",
         f"{middle['ptd'] / middle['spf']:.2f} times, and {middle['ptd_one_per_facet'] / middle['spf']:.2f} times where PTD adds "
         "the lowest point over each facet in a round",
-        agreed(paper.all_less([8 * s for s in seconds["spf"]], seconds[m]) for m in ("ptd", "ptd_one_per_facet")),
+        paper.agreed(paper.all_less([8 * s for s in seconds["spf"]], seconds[m]) for m in ("ptd", "ptd_one_per_facet")),
     )
     report.verdict(
         "Adding all points of a round together saves time (Sec. 2.4).",
@@ -484,10 +453,8 @@ def speed(report: paper.Report, clock: Sequence[dict[str, list[float]]]) -> None
     )
 
 
-def average_lines(rows: Sequence[Row], table: Sequence[Row]) -> Any:
+def average_lines(rows: Sequence[Row], table: Sequence[Row]) -> Figure:
     """Fig. 16: a panel per error."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     names = [line["sample"] for line in table]
     x = np.arange(len(names))
@@ -506,47 +473,22 @@ def average_lines(rows: Sequence[Row], table: Sequence[Row]) -> Any:
     return figure
 
 
-def bars(rows: Sequence[Row], printed: Sequence[Row]) -> Any:
+def bars(rows: Sequence[Row], printed: Sequence[Row]) -> Figure:
     """Figs. 9 to 11."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     names = [row["sample"] for row in of(rows, "spf")]
     x = np.arange(len(names))
     there = {(row["sample"], row["method"]): row for row in printed}
     for ax, value in zip(figure.subplots(3, 1, sharex=True), VALUES, strict=True):
-        for shift, method, colour in ((-0.2, "ptd", "#D55E00"), (0.2, "spf", "#0072B2")):
-            ax.bar(
-                x + shift, [row[value] for row in of(rows, method)], 0.36, color=colour, alpha=0.8, label=method.upper()
-            )
-            ax.bar(
-                x + shift,
-                [there[s, method][value] for s in names],
-                0.36,
-                facecolor="none",
-                edgecolor="0.15",
-                linewidth=0.9,
-            )
+        outline = {"facecolor": "none", "edgecolor": "0.15", "linewidth": 0.9}
+        for at, method, colour in ((x - 0.2, "ptd", "#D55E00"), (x + 0.2, "spf", "#0072B2")):
+            measured = [row[value] for row in of(rows, method)]
+            ax.bar(at, measured, 0.36, color=colour, alpha=0.8, label=method.upper())
+            ax.bar(at, [there[s, method][value] for s in names], 0.36, **outline)
         ax.set_ylabel(f"{paper.HEADINGS[value]}, %")
         ax.spines[["top", "right"]].set_visible(False)
     ax.set_xticks(x, [s.removeprefix("samp") for s in names])
     figure.axes[0].legend(frameon=False, fontsize=8)
-    return figure
-
-
-def maps(name: str, cloud: jf.PointCloud, results: dict[str, jf.FilterResult]) -> Any:
-    """One of Figs. 12 to 15: error maps side by side."""
-    from matplotlib.figure import Figure
-
-    from jaxfilter import plots
-
-    width, height = np.ptp(cloud.xyz[:, :2], axis=0)
-    figure = Figure(figsize=(9.0, 4.4 * float(height / width) + 0.9), layout="constrained")
-    surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
-    for ax, (method, result) in zip(figure.subplots(1, 2), results.items(), strict=True):
-        scores = jf.evaluate(result, cloud.reference)
-        title = f"{method.upper()}: T.I {scores.type1:.1f}, T.II {scores.type2:.1f}, total {scores.total:.1f} %"
-        plots.error_map(cloud, result, cloud.reference, surface=surface, ax=ax, title=title)
     return figure
 
 

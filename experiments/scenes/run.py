@@ -8,7 +8,6 @@ Rows are kept in files of ``--out``: only those that are missing, or of other la
 from __future__ import annotations
 
 import resource
-import shlex
 import sys
 import time
 import warnings
@@ -36,7 +35,7 @@ PROFILES = {"odmsem3d_brighton_small": 0.25, "rf4pcc_test": 0.27, "sea_cliff": 0
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is missing, and write the page."""
-    options = search.options(__doc__, arguments, HERE / "out")
+    options = search.options(__file__, __doc__, arguments)
     declared = {one.name: one for one in clouds.every(samples.data_folder(options.data))}
     order = {name: number for number, name in enumerate(declared)}
     words = {name: word(name) for name in (*jf.FILTERS, SCENES)}
@@ -63,8 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
             known.sort(key=lambda row: (order[row["cloud"]], row["method"]))
             write_csv(options.out / f"{measure}.csv", known)
         print(f"{number} of {len(tasks)} clouds", file=sys.stderr, flush=True)
-    command = shlex.join(["python", "experiments/scenes/run.py", *options.given])
-    write_page(options.out / "results.md", page.page(tables), command, words, keeps=True)
+    write_page(options.out / "results.md", page.page(tables), options.command, words, keeps=True)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     print(f"results are in {options.out}, {sum(one.ru_utime + one.ru_stime for one in used):,.0f} s of processors")
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import sys
 import time
 from pathlib import Path
@@ -14,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
-from experiments.report import Column, Row, markdown, save_png, write_csv, write_page
+from experiments.report import Column, CommandLine, Row, markdown, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
@@ -36,8 +34,7 @@ LEFT_OUT = (7, 9, 12, 18, 26, 65, 66, 67)
 
 def main(arguments: list[str] | None = None) -> None:
     """Run all methods on all tiles and write the tables."""
-    given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(given)
+    options = _parser().options(arguments)
     folder = samples.data_folder(options.data) / "tiles"
     keep_compilations()
     # what producers set apart is filtered like the rest: a user's cloud has no classes yet
@@ -50,10 +47,8 @@ def main(arguments: list[str] | None = None) -> None:
             continue
         cloud = data[tile]
         rows += [tile_row(tile, name, cloud) for name in options.methods]
-    options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "tiles.csv", rows)
-    command = shlex.join(["python", "experiments/tiles/run.py", *given])
-    write_page(options.out / "results.md", report(rows), command, options.methods)
+    write_page(options.out / "results.md", report(rows), options.command, options.methods)
     heat(rows, options.out / "totals.png")
     print(f"results are in {options.out}")
 
@@ -136,10 +131,8 @@ def heat(rows: list[Row], path: Path) -> None:
     save_png(figure, path, 150)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
-    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
+def _parser() -> CommandLine:
+    parser = CommandLine(__file__, __doc__)
     parser.add_argument(
         "--tiles", nargs="+", choices=TILES, default=list(TILES), metavar="TILE", help=f"of {', '.join(TILES)}"
     )
