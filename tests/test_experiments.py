@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT))
 import jaxfilter as jf  # noqa: E402
 from experiments import remake, report  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
+from experiments.benchmark import run as benchmark  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import li2021, paper  # noqa: E402
@@ -365,3 +366,15 @@ def test_the_list_of_tables_and_figures_names_headings_of_the_pages():
         headings = re.findall(r"^## (.+)$", (folder / page).read_text(), re.MULTILINE)
         named = re.findall(r'"([^"]+)"', text)
         assert len(named) > 5 and not set(named) - set(headings), page
+
+
+@pytest.mark.slow
+def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tmp_path):
+    given = [str(two_samples / "isprs"), "--out", str(tmp_path), "--methods", "smrf", "pmf", "--repeats", "0"]
+    with pytest.warns(jf.JaxfilterWarning, match="2 clouds cannot give p below"):
+        benchmark.main(given)
+    found = {(row["method"], row["cloud"]): row["total"] for row in report.read_csv(tmp_path / "runs.csv")}
+    assert set(found) == {(method, cloud) for method in ("SMRF", "PMF") for cloud in ("samp52", "samp53")}
+    cloud = jf.read(two_samples / "isprs" / "samp53.txt")
+    total = jf.evaluate(jf.SMRF.for_cloud(cloud)(cloud), cloud).total
+    assert found["SMRF", "samp53"] == pytest.approx(total) and f"{total:.2f}" in (tmp_path / "results.md").read_text()
