@@ -192,10 +192,12 @@ def setup(namespace: dict[str, Any]) -> None:
 
 def teardown(namespace: dict[str, Any]) -> None:
     """After a page, whose filters are forgotten."""
+    from jaxfilter import FILTERS
+
     os.chdir(namespace["_before"])
     namespace["_folder"].cleanup()
-    if "jf" in namespace:
-        namespace["jf"].FILTERS.data = namespace["_filters"]
+    if "_filters" in namespace:
+        FILTERS.data = namespace["_filters"]
 
 
 def page(example: Example) -> str:
@@ -210,6 +212,7 @@ def begins(example: Example, blocks: Iterable[tuple[str, str]]) -> bool:
 
 def run_python(example: Example) -> None:
     """Run a block; keep what it prints for the block after it. The README shall warn of nothing."""
+    from jaxfilter import FILTERS
     from jaxfilter.core.errors import JaxfilterWarning
 
     source, names, name = str(example.parsed), example.namespace, page(example)
@@ -218,9 +221,9 @@ def run_python(example: Example) -> None:
         compile(code, name, "exec")
         names.pop("_said", None)
         return
-    if "jf" not in names:
+    if "_filters" not in names:
         names.update(in_demo(Path.cwd()) if name == "README.md" else in_small(Path.cwd()))
-        names["_filters"] = dict(names["jf"].FILTERS.data)
+        names["_filters"] = dict(FILTERS.data)
     if name == "README.md" and "import jaxfilter" not in source:
         names.update(names["small"])
     for whole, part in CHANGED.items():

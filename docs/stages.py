@@ -124,7 +124,7 @@ def draped(filter_: jf.CSF, result: jf.FilterResult) -> list[Stage]:
 def segmented(filter_: jf.OST) -> list[Stage]:
     """Of OST: drops in terms of their limit, cells that are objects, ground of the cells."""
     points = filter_.points_of(scene().cloud)
-    found = filter_.sloped(points, None)
+    found = filter_.measured(points, None)
     limit = filter_.judge(found, filter_.active())
     share, grid = inner(np.minimum(found.steepest / limit, 3.0), found.cells)
     kept = points.xyz[found.lowest]

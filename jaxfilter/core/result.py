@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import jax
 import numpy as np
 
 from .errors import DAMAGED_ARRAYS, InputError, OutputError, warn
@@ -294,6 +293,8 @@ _FORMAT = "jaxfilter.FilterResult 1"
 
 def key_words(key: Any) -> list[Any] | None:
     """A JAX random key in whole numbers; None for None."""
+    import jax  # `--help` does not wait for it
+
     return None if key is None else np.asarray(jax.random.key_data(key)).tolist()
 
 
