@@ -80,6 +80,14 @@ def check_explained(filter_, cloud, most):
 
 
 @pytest.mark.parametrize("filter_", [*FILTERS, WithoutBorder()], ids=lambda f: type(f).__name__)
+def test_scipy_is_asked(filter_, town, monkeypatch):
+    monkeypatch.setattr("scipy.spatial.Delaunay", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        filter_.replace(triangulation="scipy")(town.cloud)
+    filter_(town.cloud)
+
+
+@pytest.mark.parametrize("filter_", [*FILTERS, WithoutBorder()], ids=lambda f: type(f).__name__)
 def test_labels_differ_from_those_of_scipy_by_ties_only(filter_, town):
     check_explained(filter_, town.cloud, most=0.05)
 
