@@ -290,7 +290,7 @@ def test_a_result_comes_back_from_its_file_bit_for_bit(tmp_path, filter_, key):
     assert jf.FilterResult.load(again.save(tmp_path / "result", overwrite=True)).provenance == found
 
 
-@pytest.mark.parametrize("kind", ["absent", "text", "array", "npz", "cut", "changed"])
+@pytest.mark.parametrize("kind", ["absent", "text", "array", "npz", "length", "cut", "changed"])
 def test_a_file_that_is_no_result_is_named(tmp_path, kind):
     path = jf.FilterResult.of_labels(np.ones(1000, bool)).save(tmp_path / "result.npz")
     whole = path.read_bytes()
@@ -299,6 +299,9 @@ def test_a_file_that_is_no_result_is_named(tmp_path, kind):
         np.save(path, np.ones(3))
     elif kind == "npz":
         np.savez(path, ground=np.ones(3, bool))
+    elif kind == "length":
+        with np.load(path) as file:
+            np.savez(path, **(dict(file) | {"margin": np.ones(999, np.float32)}))
     else:
         made = {"text": b"no result", "cut": whole[:-500], "changed": whole.replace(b"\1" * 900, b"\1" * 899 + b"\0")}
         path.unlink() if kind == "absent" else path.write_bytes(made[kind])
