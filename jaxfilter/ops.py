@@ -95,7 +95,7 @@ def delaunay(xyz: Any) -> Delaunay:
     scale = 2.0 ** min(1000, -math.frexp((high - low)[:2].max() / (SPAN * QUANTUM))[1])
     at = _placed(xyz, low, scale)
     if not has_area(at):
-        raise InputError(f"xyz of {len(xyz):,} points: they are on one line: three positions are needed that are not")
+        raise InputError(f"xyz of {len(xyz):,} points: all lie on one line; at least three that do not are needed")
     code = morton(at)
     order = np.argsort(code)
     first = np.append(True, np.diff(code[order]) > 0)

@@ -107,7 +107,7 @@ LINE = np.column_stack([np.arange(50) * 0.1, np.arange(50) * 0.03, np.arange(50)
 
 
 @pytest.mark.parametrize("xyz, words", [
-    (np.zeros((0, 3)), "0 points: they are on one line"), (np.eye(3)[:2], "2 points: .* on one line"),
+    (np.zeros((0, 3)), "0 points: all lie on one line"), (np.eye(3)[:2], "2 points: .* on one line"),
     (np.zeros((9, 3)), "9 points: .* on one line"), (LINE, "50 points: .* on one line"),
     (LINE + [5e5, 5e6, 0], "50 points: .* on one line"), (LINE * [0, 1, 1], "on one line"),
     (np.where(np.eye(3), np.nan, 1), "3 of 3 points are not finite"), (LINE + [0, 0, np.inf], "50 of 50 points are not finite"),

@@ -11,19 +11,7 @@ import itertools
 import numpy as np
 from scipy.spatial import cKDTree
 
-Position = tuple[int, int]
-
-
-def turn(a: Position, b: Position, c: Position) -> int:
-    """Twice the area of a, b, c; positive if they turn to the left."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def power(a: Position, b: Position, c: Position, p: Position) -> int:
-    """Positive if p lies inside the circle through a, b, c, which turn to the left; zero on it."""
-    (a1, a2), (b1, b2), (c1, c2) = ((q[0] - p[0], q[1] - p[1]) for q in (a, b, c))
-    a3, b3, c3 = a1 * a1 + a2 * a2, b1 * b1 + b2 * b2, c1 * c1 + c2 * c2
-    return a1 * (b2 * c3 - b3 * c2) - a2 * (b1 * c3 - b3 * c1) + a3 * (b1 * c2 - b2 * c1)
+from experiments.bench.triangulation import Position, power, turn
 
 
 def in_circle(a: Position, b: Position, c: Position, p: Position) -> bool:

@@ -169,7 +169,7 @@ class FilterResult:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """By which the labels can be made again: ``jaxfilter``, its version; ``method``, ``parameters`` by name, and the random
+        """What is needed to make the labels again: ``jaxfilter``, its version; ``method``, ``parameters`` by name, and the random
         ``key`` (None: the default one); ``cloud``, see :meth:`PointCloud.digest`, which is computed now; ``seconds`` of the call.
         Plain values, as JSON holds them. Empty for a result that was put together by hand.
 

@@ -108,7 +108,7 @@ def sweep(
         selected by a mapping: ``data.total.sel({"tolerance": 0.3})``. Variables: ``type1``, ``type2``, ``total``, ``kappa``
         in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
         With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
-        over ``point_NAME``. Attributes say by what it can be made again: ``jaxfilter``, its version; ``method``, ``design``,
+        over ``point_NAME``. Attributes say how to make it again: ``jaxfilter``, its version; ``method``, ``design``,
         ``seed``; as JSON ``parameters``, ``key``, and of each cloud the digest (:meth:`PointCloud.digest`) in ``clouds``.
     Raises: ParameterError naming the axis or argument, and InputError for reference labels of one class only, before
         anything runs; InputError for a checkpoint of another sweep.
